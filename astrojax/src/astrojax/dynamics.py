@@ -1,0 +1,102 @@
+"""Orbital dynamics: the sum of the forces, ready for an integrator."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from astrojax._types import Scalar, Vector3, Vector6
+from astrojax.atmosphere.harris_priester import density_harris_priester
+from astrojax.constants import GM_EARTH, GM_MOON, GM_SUN
+from astrojax.drag import accel_drag
+from astrojax.ephemeris import moon_position, sun_position
+from astrojax.gravity import ZONAL_DEGREES, accel_two_body, accel_zonal
+from astrojax.third_body import accel_third_body
+
+
+@dataclasses.dataclass(frozen=True)
+class ForceModel:
+    """Which perturbations act (static and hashable: part of the compiled program, never traced).
+
+    Args:
+        zonal_degree: highest zonal harmonic, 0 (two-body only) or 2 to 6.
+        sun, moon: third-body attraction.
+        drag: Harris-Priester drag.
+
+    Raises: ValueError, `zonal_degree` is not one of the allowed values.
+    """
+
+    zonal_degree: int = 4
+    sun: bool = True
+    moon: bool = True
+    drag: bool = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.zonal_degree, bool) or self.zonal_degree not in ZONAL_DEGREES:
+            raise ValueError(f"zonal_degree: expected one of {ZONAL_DEGREES}, got {self.zonal_degree!r}")
+
+
+class Bodies(NamedTuple):
+    """Geocentric positions (3,) [m] of the Sun and the Moon, mean equator and equinox of J2000."""
+
+    sun: Vector3
+    moon: Vector3
+
+
+class OrbitParams(NamedTuple):
+    """What `derivative` needs beside the state: bodies held over a step, and the vehicle (all traced)."""
+
+    bodies: Bodies
+    mass: Scalar
+    area: Scalar
+    cd: Scalar
+
+
+def celestial_bodies(day: Scalar, seconds: Scalar) -> Bodies:
+    """Positions of the Sun and the Moon at a UTC epoch (whole MJD, seconds of day).
+
+    In the 0.05 s of a step the Moon moves 50 m, 1e-7 of its distance: once a step is plenty.
+    """
+    return Bodies(sun_position(day, seconds), moon_position(day, seconds))
+
+
+def accel_gravity_and_perturbations(
+    bodies: Bodies, state: Vector6, mass: Scalar, area: Scalar, cd: Scalar, model: ForceModel = ForceModel()
+) -> Vector3:
+    """Inertial acceleration [m/s^2]: two-body, zonal, Sun, Moon and drag, as `model` selects.
+
+    Args:
+        bodies: positions of the Sun and the Moon, from `celestial_bodies`.
+        state: (6,) inertial position and velocity [m, m/s], z along Earth's axis.
+        mass: of the vehicle [kg].
+        area: drag cross-section [m^2].
+        cd: drag coefficient.
+        model: static.
+
+    Validity: the pole of J2000 stands in for the pole of date (0.15 deg apart in 2026), for zonal terms,
+    atmosphere and its rotation alike.
+    """
+    r, v = state[:3], state[3:]
+    accel = accel_zonal(r, model.zonal_degree)
+    if model.sun:
+        accel = accel + accel_third_body(r, bodies.sun, GM_SUN)
+    if model.moon:
+        accel = accel + accel_third_body(r, bodies.moon, GM_MOON)
+    if model.drag:
+        accel = accel + accel_drag(r, v, density_harris_priester(r, bodies.sun), mass, area, cd)
+    # The large term last: the small ones keep their digits among themselves.
+    return accel_two_body(r, GM_EARTH) + accel
+
+
+def derivative(t: Scalar, state: Vector6, params: OrbitParams, model: ForceModel = ForceModel()) -> Vector6:
+    """Time derivative of an inertial state, in the form `rk4_step(derivative, t, state, dt, params, model)`.
+
+    Args:
+        t: not used, the epoch-dependent bodies are held in `params`.
+        state: (6,) inertial position and velocity [m, m/s].
+        params: bodies and vehicle.
+        model: static.
+    """
+    del t
+    accel = accel_gravity_and_perturbations(params.bodies, state, params.mass, params.area, params.cd, model)
+    return jnp.concatenate([state[3:], accel])

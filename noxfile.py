@@ -1,0 +1,141 @@
+"""The project's chores: `nox -s tests`, `nox -s demo`; `nox -l` lists them all. Needs Python 3.11 or later."""
+
+import hashlib
+import os
+import shutil
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import nox
+
+if sys.version_info < (3, 11):
+    raise SystemExit(
+        f"This project needs Python 3.11 or later; nox runs on {sys.version.split()[0]}. "
+        "Delete .venv and make it anew with a later one, for example `python3.12 -m venv .venv`."
+    )
+
+nox.needs_version = ">=2024.4.15"
+nox.options.reuse_existing_virtualenvs = True
+nox.options.sessions = ["lint", "tests"]
+
+ROOT = Path(__file__).parent.resolve()
+PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "outofthisworldmodel": "owm"}
+RUFF = "ruff==0.17.6"
+
+# Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete at any time.
+# Tests only: on some processors XLA refuses what it stored and says so at length, which pytest keeps to itself.
+JAX_CACHE = {
+    "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+}
+
+
+def _install(session: nox.Session, *requirements: str) -> None:
+    """Install unless the same requirements are already there, as a stamp in the environment tells.
+
+    The local packages are always named together in one command: an index never gets to answer for one of them.
+    Sources are editable, so only a changed pyproject.toml calls for another install.
+    """
+    digest = hashlib.sha256(repr((sys.version, str(ROOT), requirements)).encode())
+    for package in PACKAGES:
+        digest.update((ROOT / package / "pyproject.toml").read_bytes())
+    stamp = Path(session.virtualenv.location) / "installed.sha256"
+    if stamp.is_file() and stamp.read_text(encoding="ascii") == digest.hexdigest():
+        session.log("environment is up to date")
+        return
+    stamp.unlink(missing_ok=True)
+    session.log("installing; the first time this downloads a few hundred MB and takes a minute or more")
+    session.install(*requirements)
+    stamp.write_text(digest.hexdigest(), encoding="ascii")
+
+
+def _editable(extra: str = "", *packages: str) -> list[str]:
+    suffix = f"[{extra}]" if extra else ""
+    return [word for package in packages or PACKAGES for word in ("-e", f"./{package}{suffix}")]
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Check style and formatting; `nox -s lint -- --fix` repairs what can be repaired."""
+    _install(session, RUFF)
+    if "--fix" in session.posargs:
+        session.run("ruff", "check", "--fix", ".")
+        session.run("ruff", "format", ".")
+    else:
+        session.run("ruff", "check", ".")
+        session.run("ruff", "format", "--check", ".")
+
+
+@nox.session
+def tests(session: nox.Session) -> None:
+    """Test the three packages; arguments after `--` go to pytest."""
+    _install(session, *_editable("test"), "pytest-xdist>=3.6")
+    workers = f"--numprocesses={min(4, os.cpu_count() or 1)}"
+    cache = {name: os.environ.get(name, value) for name, value in JAX_CACHE.items()}
+    session.run("pytest", workers, "--dist=worksteal", *session.posargs, env=cache)
+
+
+@nox.session
+def demo(session: nox.Session) -> None:
+    """Simulate, record, train, plan, fly and report into runs/demo; arguments after `--` go to `owm demo`."""
+    _install(session, *_editable())
+    session.run("owm", "demo", *session.posargs)
+
+
+@nox.session
+def wheels(session: nox.Session) -> None:
+    """Build sdists and wheels into dist/, install the wheels in a clean environment and try them from there."""
+    _install(session, "build>=1.2", "hatchling>=1.25", "virtualenv>=20.26")
+    dist = ROOT / "dist"
+    shutil.rmtree(dist, ignore_errors=True)
+    for package in PACKAGES:
+        session.run(
+            "python", "-m", "build", "--no-isolation", "--outdir", str(dist), f"./{package}", silent=True
+        )
+    built = sorted(dist.glob("*.whl"))
+    if len(built) != len(PACKAGES):
+        session.error(f"expected {len(PACKAGES)} wheels in dist/, found {[wheel.name for wheel in built]}")
+    _check_contents(session, built)
+
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        session.run("python", "-m", "virtualenv", "--quiet", f"{folder}/venv")
+        python = str(Path(folder, "venv", "Scripts/python.exe" if os.name == "nt" else "bin/python"))
+        with session.chdir(folder):
+            # The files themselves, not names: no index can offer something else under the same name and version.
+            paths = [str(wheel) for wheel in built]
+            session.run(python, "-m", "pip", "install", "--quiet", *paths, external=True)
+            smoke = ROOT / "tests" / "wheels" / "smoke.py"
+            session.run(python, "-I", str(smoke), external=True, env={"PYTHONPATH": ""})
+
+
+def _check_contents(session: nox.Session, built: list[Path]) -> None:
+    """Fail if a file of a package's source tree (code, data, py.typed) or the licence is missing from its wheel."""
+    packed = {name for wheel in built for name in zipfile.ZipFile(wheel).namelist()}
+    for package, module in PACKAGES.items():
+        source = ROOT / package / "src"
+        files = [
+            path
+            for path in (source / module).rglob("*")
+            if path.is_file() and "__pycache__" not in path.parts
+        ]
+        missing = sorted({path.relative_to(source).as_posix() for path in files} - packed)
+        if missing:
+            session.error(f"{package}: the wheel lacks {missing}")
+    for wheel in built:
+        if not any(name.endswith("/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist()):
+            session.error(f"{wheel.name}: no licence inside")
+
+
+@nox.session
+def lerobot(session: nox.Session) -> None:
+    """Generate a small dataset and read it back with the real LeRobot (brings torch: large)."""
+    envs = _editable("lerobot,test", "outofthisworldmodel-envs")
+    _install(session, *_editable("", "astrojax"), *envs)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        dataset = str(Path(folder, "dataset"))
+        arguments = ["--env", "iss-numerical", "--noise", "cooperative", "--transitions", "2000"]
+        session.run("owm-envs", "generate", *arguments, "--out", dataset)
+        offline = {"OWM_LEROBOT_DATASET": dataset, "HF_HUB_OFFLINE": "1"}
+        session.run("pytest", "outofthisworldmodel-envs/tests_lerobot", *session.posargs, env=offline)

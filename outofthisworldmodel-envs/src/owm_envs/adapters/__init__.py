@@ -1,0 +1,1 @@
+"""Stateful shells over the pure environment, one module per ecosystem."""

@@ -1,0 +1,309 @@
+"""Gymnasium's `Env` and `VectorEnv` over the compiled batch; the scalar one is a batch of one."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from owm_envs.adapters.batch import batch_program, state_from_host, state_to_host
+from owm_envs.config import DockingConfig, load_config, unknown
+from owm_envs.station import PORT_NAMES, goal_poses, port_index
+from owm_envs.task.events import Outcome
+
+_PORTS = np.array(PORT_NAMES)
+_OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
+RENDER_MODES = ("rgb_array",)
+_MAX_SEED = 2**63
+
+
+class _Shell:
+    """What both adapters share: the configuration, spaces, the opaque state and its pictures."""
+
+    def _build(self, config, overrides, num_envs: int, autoreset: AutoresetMode, render_mode: str | None):
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
+        self.config: DockingConfig = load_config(config, **overrides)
+        self.render_mode = render_mode
+        self._program = batch_program(self.config, autoreset)
+        self.docking_env = self._program.env
+        self._num_slots = num_envs
+        self._state = None
+        self._paths: list[list[np.ndarray]] = [[] for _ in range(num_envs)]
+        layout = self.docking_env.layout
+        limit = np.ones(6) if self.config.normalize else np.asarray(layout.wrench_limit)
+        action_space = spaces.Box(-limit.astype(np.float32), limit.astype(np.float32), dtype=np.float32)
+        return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32), action_space
+
+    @property
+    def layout(self):
+        """How observations and actions are laid out."""
+        return self.docking_env.layout
+
+    @property
+    def traces(self) -> dict[str, int]:
+        """Compilations so far of this configuration's programs."""
+        return dict(self._program.traces)
+
+    def _port_choice(self, port) -> int:
+        if isinstance(port, str):
+            return port_index(port)
+        if isinstance(port, (int, np.integer)) and 0 <= port < len(PORT_NAMES):
+            return int(port)
+        raise ValueError(unknown("dock_port", port, PORT_NAMES))
+
+    def _slot_ports(self, options: Mapping[str, Any]) -> np.ndarray:
+        given = options.get("dock_port")
+        if given is None:
+            return np.full(self._num_slots, -1, np.int32)
+        if isinstance(given, (str, int, np.integer)):
+            return np.full(self._num_slots, self._port_choice(given), np.int32)
+        if len(given) != self._num_slots:
+            raise ValueError(f"dock_port names {len(given)} ports for {self._num_slots} environments")
+        return np.array([self._port_choice(port) for port in given], np.int32)
+
+    def _check_options(self, options: Mapping[str, Any] | None, known: tuple[str, ...]) -> Mapping[str, Any]:
+        for key in options or {}:
+            if key not in known:
+                raise ValueError(unknown("reset option", key, known))
+        return options or {}
+
+    def _actions(self, action, shape: tuple[int, ...]) -> np.ndarray:
+        action = np.asarray(action, self.config.precision)
+        if action.shape != shape:
+            raise ValueError(f"action must have shape {shape}, got {action.shape}")
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        return action.reshape(self._num_slots, 6)
+
+    def _new_paths(self, info, slots) -> None:
+        if self.render_mode is not None:
+            for slot in slots:
+                self._paths[slot] = [info["true_state"][slot, :3]]
+
+    def _extend_paths(self, info, restarted) -> None:
+        if self.render_mode is not None:
+            for slot, path in enumerate(self._paths):
+                if not restarted[slot]:
+                    path.append(info["true_state"][slot, :3])
+            self._new_paths(info, np.flatnonzero(restarted))
+
+    def _picture(self, slot: int) -> np.ndarray:
+        from owm_envs.render.schematic import draw_schematic
+
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before render()")
+        host = state_to_host(self._state)
+        view, port = host.view[slot], int(host.port[slot])
+        goal = goal_poses()[port]
+        seconds = float(host.physics.elapsed[slot])
+        lines = [
+            f"{self.config.fidelity}   {PORT_NAMES[port]}",
+            f"t {seconds:6.1f} s   {_OUTCOMES[int(host.outcome[slot])]}",
+            f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
+            f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
+            f"clearance {float(host.clearance[slot]):6.2f} m (least)",
+        ]
+        boxes = np.asarray(self._program.params.hull)
+        return draw_schematic(boxes, goal_poses(), view, np.asarray(self._paths[slot]), port, lines)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_program", "docking_env", "_state")}
+        kept["_autoreset"] = self._program.autoreset
+        kept["_host_state"] = None if self._state is None else state_to_host(self._state)
+        return kept
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        kept = dict(kept)
+        self._program = batch_program(kept["config"], kept.pop("_autoreset"))
+        self.docking_env = self._program.env
+        state = kept.pop("_host_state")
+        self._state = None if state is None else state_from_host(state)
+        self.__dict__.update(kept)
+
+
+class DockingGymEnv(_Shell, gymnasium.Env):
+    """One docking episode at a time.
+
+    Args:
+        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file.
+        render_mode: None or "rgb_array".
+        overrides: fields of `DockingConfig`, and `preset`.
+
+    `reset(options={"dock_port": NAME})` assigns the port of that episode. An action outside the box is clipped; one
+    that is not finite raises ValueError.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012 - Gymnasium's interface
+
+    def __init__(self, config=None, render_mode: str | None = None, **overrides: Any):
+        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode)
+        self.observation_space, self.action_space = spaces_
+        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
+
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):
+        """Start an episode; without a seed it follows from the last one."""
+        options = self._check_options(options, ("dock_port",))
+        ports = self._slot_ports(options)
+        super().reset(seed=seed)
+        if seed is None and self._state is not None:
+            keys = self._state.next_key
+        else:
+            keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if seed is None else seed])
+        self._state, observation, info = self._program.reset(keys, ports)
+        self._new_paths(info, [0])
+        return observation[0], _scalar_info(info)
+
+    def step(self, action):
+        """Hold an action [N, N m] (or fractions of the limits when normalised) for one decision."""
+        actions = self._actions(action, (6,))
+        if not np.isfinite(actions).all():
+            raise ValueError(f"action must be finite, got {np.asarray(action)}")
+        self._state, output = self._program.step(self._state, actions)
+        result = output.result
+        self._extend_paths(output.info, np.zeros(1, bool))
+        return (
+            result.observation[0],
+            float(result.reward[0]),
+            bool(result.terminated[0]),
+            bool(result.truncated[0]),
+            _scalar_info(output.info),
+        )
+
+    def render(self):
+        """The current state as an RGB picture, or None without a render mode."""
+        return None if self.render_mode is None else self._picture(0)
+
+
+class DockingVectorEnv(_Shell, VectorEnv):
+    """A batch of docking episodes, advanced by one compiled program a step.
+
+    Slot i reset with seed s equals a `DockingGymEnv` reset with seed s + i, later automatic resets included.
+
+    Args:
+        num_envs: slots.
+        config, render_mode, overrides: as for `DockingGymEnv`.
+        autoreset_mode: one of Gymnasium's `AutoresetMode`.
+
+    `reset(options={"dock_port": NAME or one per slot, "reset_mask": (num_envs,) bool})`. A slot whose action is not
+    finite ends as "invalid_action". In `info`, arrays are batched; a mask `_name` says where `name` is set.
+    """
+
+    metadata = {  # noqa: RUF012 - Gymnasium's interface
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 20,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config=None,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **overrides: Any,
+    ):
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        mode = _autoreset_mode(autoreset_mode)
+        self.num_envs = num_envs
+        self.single_observation_space, self.single_action_space = self._build(
+            config, overrides, num_envs, mode, render_mode
+        )
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        rate = max(1, round(1 / self.config.decision_dt))
+        self.metadata = {**type(self).metadata, "autoreset_mode": mode, "render_fps": rate}
+        self._observation = np.zeros(self.observation_space.shape, np.float32)
+        self._ended = np.zeros(num_envs, bool)
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options=None):
+        """Start an episode in every slot, or in those of `options["reset_mask"]`."""
+        options = self._check_options(options, ("dock_port", "reset_mask"))
+        ports = self._slot_ports(options)
+        mask = self._reset_mask(options)
+        seeds = self._seeds(seed)
+        if all(s is None for s in seeds) and self._state is not None:
+            keys = self._state.next_key
+        else:
+            keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if s is None else s for s in seeds])
+        if self._state is None or mask.all():
+            if not mask.all():
+                raise gymnasium.error.ResetNeeded("the first reset() must start every slot: no reset_mask yet")
+            self._state, observation, info = self._program.reset(keys, ports)
+        else:
+            self._state, observation, info = self._program.reset_where(self._state, mask, keys, ports)
+        self._observation = np.where(mask[:, None], observation, self._observation)
+        self._ended = self._ended & ~mask
+        self._new_paths(info, np.flatnonzero(mask))
+        return self._observation.copy(), _vector_info(info, mask)
+
+    def step(self, actions):
+        """Hold one action (num_envs, 6) per slot for one decision."""
+        actions = self._actions(actions, (self.num_envs, 6))
+        was_ended = self._ended if self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP else None
+        self._state, output = self._program.step(self._state, actions)
+        result = output.result
+        ended = result.terminated | result.truncated
+        info = _vector_info(output.info, np.ones(self.num_envs, bool))
+        restarted = np.zeros(self.num_envs, bool) if was_ended is None else was_ended
+        if self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP:
+            restarted = ended
+            if ended.any():
+                info["final_obs"], info["_final_obs"] = output.final_observation, ended
+                info["final_info"], info["_final_info"] = _vector_info(output.final_info, ended), ended
+        self._ended = ended
+        self._extend_paths(output.info, restarted)
+        self._observation = result.observation
+        return self._observation.copy(), result.reward.astype(np.float64), result.terminated, result.truncated, info
+
+    def render(self):
+        """A picture per slot, or None without a render mode."""
+        return None if self.render_mode is None else tuple(self._picture(i) for i in range(self.num_envs))
+
+    def _seeds(self, seed) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(int(seed))
+            return [int(seed) + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed names {len(seed)} seeds for {self.num_envs} environments")
+        return [None if s is None else int(s) for s in seed]
+
+    def _reset_mask(self, options) -> np.ndarray:
+        mask = options.get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, bool)
+        mask = np.asarray(mask)
+        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"reset_mask must be a boolean array of shape ({self.num_envs},) with at least one True, "
+                f"got {mask.dtype} {mask.shape}"
+            )
+        return mask
+
+
+def _autoreset_mode(mode) -> AutoresetMode:
+    known = {m.value: m for m in AutoresetMode} | {m.name.lower(): m for m in AutoresetMode}
+    if isinstance(mode, AutoresetMode):
+        return mode
+    if mode not in known:
+        raise ValueError(unknown("autoreset_mode", mode, known))
+    return known[mode]
+
+
+def _named(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {**info, "port": _PORTS[info["port"]], "outcome": _OUTCOMES[info["outcome"]]}
+
+
+def _scalar_info(info: dict[str, np.ndarray]) -> dict[str, Any]:
+    return {name: v[0] if v.ndim > 1 else v[0].item() for name, v in _named(info).items()}
+
+
+def _vector_info(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
+    named = _named(info)
+    return {**named, **{f"_{name}": mask for name in named}}

@@ -1,0 +1,48 @@
+"""Equations of motion: each fidelity is one frozen class of three pure functions behind `Dynamics`.
+
+A new fidelity is one more module and one line in `DYNAMICS`.
+"""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from jaxtyping import Array, Float
+
+from owm_envs.config import DockingConfig
+from owm_envs.dynamics.free_flyer import FreeFlyer
+from owm_envs.dynamics.hcw import HillClohessyWiltshire
+from owm_envs.dynamics.numerical import NumericalOrbits
+from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.params import Params
+
+
+class Dynamics(Protocol):
+    """What the task layer asks of a fidelity; instances are static and hashable."""
+
+    has_epoch: bool
+    """Whether observations are prefixed with the epoch."""
+
+    def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
+        """State at `epoch` [MJD day, s of day] whose relative view is `view`; empty actuator buffer."""
+
+    def step(
+        self, params: Params, state: PhysicalState, wrench: Float[Array, "6"], dt: Float[Array, ""]
+    ) -> PhysicalState:
+        """Advance by `dt` seconds under a held body wrench [N, N m]."""
+
+    def relative_state(self, params: Params, state: PhysicalState) -> Float[Array, "13"]:
+        """Position m, velocity m/s (station frame), quaternion body to station, body rate rad/s (station-relative)."""
+
+
+DYNAMICS: dict[str, Callable[[DockingConfig], Dynamics]] = {
+    "iss": lambda config: FreeFlyer(),
+    "iss-hcw": lambda config: HillClohessyWiltshire(),
+    "iss-numerical": lambda config: NumericalOrbits(
+        zonal_degree=config.forces.zonal_degree,
+        sun=config.forces.sun,
+        moon=config.forces.moon,
+        drag=config.forces.drag,
+    ),
+}
+
+__all__ = ["DYNAMICS", "Dynamics", "PhysicalState", "VehicleState"]

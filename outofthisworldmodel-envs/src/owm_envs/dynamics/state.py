@@ -1,0 +1,38 @@
+"""The physical state shared by all fidelities."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class VehicleState(NamedTuple):
+    """A rigid vehicle: orbit [r m, v m/s], scalar-first attitude quaternion from body axes, body rate rad/s.
+
+    The frame of orbit, attitude and rate is the fidelity's own: Earth-centred inertial for `iss-numerical`, the
+    station frame for the others.
+    """
+
+    orbit: Float[Array, "6"]
+    attitude: Float[Array, "4"]
+    rate: Float[Array, "3"]
+
+
+class PhysicalState(NamedTuple):
+    """Both vehicles at one instant.
+
+    `epoch` is the episode's start [MJD day, s of day] UTC and `elapsed` the seconds since; `chief` is the station's
+    inertial orbit, of length zero where the fidelity does not propagate it; `actuator` holds the wrench commands
+    still on their way, oldest first, of length zero without delay.
+    """
+
+    epoch: Float[Array, "2"]
+    elapsed: Float[Array, ""]
+    chief: Float[Array, "C"]
+    chaser: VehicleState
+    actuator: Float[Array, "D 6"]
+
+
+def no_commands(like: Float[Array, "..."]) -> Float[Array, "0 6"]:
+    """An actuator buffer without delay, in the dtype of `like`."""
+    return jnp.zeros((0, 6), like.dtype)

@@ -1,0 +1,1 @@
+"""State to image; nothing here is imported unless pixels are asked for."""

@@ -1,0 +1,47 @@
+"""What the chaser measures of the true relative view, and its error to the goal."""
+
+import jax
+import jax.numpy as jnp
+from astrojax.attitude import (
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_to_rotation_vector,
+)
+from jaxtyping import Array, Float, Key
+
+from owm_envs.params import NoiseParams
+from owm_envs.task.reset import named_key
+
+
+def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]) -> Float[Array, "13"]:
+    """Corrupt a true relative view by isotropic Gaussian errors of the given total root-mean-square sizes.
+
+    The attitude error is a rotation in body axes. Source: paper, table of sensor noise models.
+    """
+    position, velocity, attitude, rate = view[:3], view[3:6], view[6:10], view[10:]
+
+    def error(name, total):
+        return total / jnp.sqrt(jnp.asarray(3, view.dtype)) * jax.random.normal(named_key(key, name), (3,), view.dtype)
+
+    total_position = noise.position + noise.position_per_range * jnp.linalg.norm(position)
+    turned = quat_multiply(attitude, quat_from_rotation_vector(error("attitude", noise.attitude)))
+    return jnp.concatenate(
+        [
+            position + error("position", total_position),
+            velocity + error("velocity", noise.velocity),
+            turned,
+            rate + error("rate", noise.rate),
+        ]
+    )
+
+
+def goal_error(view: Float[Array, "13"], goal: Float[Array, "7"]) -> Float[Array, "12"]:
+    """Error of a relative view to a hold pose at rest.
+
+    Returns:
+        Position m and velocity m/s (view minus goal, station frame), rotation vector rad from the view's to the
+        goal's attitude (body axes, shortest turn whatever the quaternions' signs), body rate rad/s.
+    """
+    turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(view[6:10]), goal[3:]))
+    return jnp.concatenate([view[:3] - goal[:3], view[3:6], turn, view[10:]])

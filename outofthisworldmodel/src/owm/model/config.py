@@ -1,0 +1,59 @@
+"""What shapes a world model: a frozen, validated configuration and its presets."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, PositiveFloat, PositiveInt, model_validator
+
+
+class ModelConfig(BaseModel):
+    """Static choices; everything that training finds lives in the parameters instead."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    stream: Literal["kinematic"] = "kinematic"
+    """How observations become tokens and tokens become predictions."""
+    dt: PositiveFloat = 0.25
+    """Seconds a step."""
+    history_length: PositiveInt = 8
+    """`H`: most measurements a prediction starts from."""
+    width: PositiveInt = 32
+    """Token dimension."""
+    blocks: PositiveInt = 1
+    """Space-time blocks."""
+    heads: PositiveInt = 4
+    """Attention heads."""
+    window: PositiveInt = 8
+    """Steps that temporal attention reaches back, the current one included."""
+    mlp_ratio: PositiveInt = 2
+    """Hidden width of a block's perceptron, in token dimensions."""
+    head_width: PositiveInt = 32
+    """Width of the flow head, at most `width`."""
+    head_blocks: PositiveInt = 1
+    """Residual perceptrons in the flow head."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "ModelConfig":
+        if self.width % self.heads or (self.width // self.heads) % 2:
+            raise ValueError(f"width must be an even multiple of heads, got width={self.width}, heads={self.heads}")
+        if self.head_width > self.width:
+            raise ValueError(f"head_width must not exceed width={self.width}, got {self.head_width}")
+        return self
+
+
+PRESETS: dict[str, ModelConfig] = {
+    "nano": ModelConfig(),
+    "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
+    "paper": ModelConfig(width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2),
+}
+"""Named sizes; `nano` trains on a laptop, `paper` has the widths of the publication."""
+
+
+def preset(name: str) -> ModelConfig:
+    """Return a named configuration.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"unknown model preset {name!r}, expected one of {', '.join(PRESETS)}")
+    return PRESETS[name]
