@@ -1,4 +1,4 @@
-"""The project's chores: `nox -s tests`, `nox -s demo`; `nox -l` lists them all. Needs Python 3.11 or later."""
+"""The project's chores: `nox -s tests`, `nox -s demo`; `nox -l` lists them all."""
 
 import hashlib
 import os
@@ -10,13 +10,14 @@ from pathlib import Path
 
 import nox
 
-if sys.version_info < (3, 11):
+if sys.version_info < (3, 11):  # noqa: UP036 (nox itself may well have been installed with an older one)
     raise SystemExit(
         f"This project needs Python 3.11 or later; nox runs on {sys.version.split()[0]}. "
         "Delete .venv and make it anew with a later one, for example `python3.12 -m venv .venv`."
     )
 
 nox.needs_version = ">=2024.4.15"
+nox.options.default_venv_backend = "virtualenv"
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["lint", "tests"]
 
@@ -24,18 +25,24 @@ ROOT = Path(__file__).parent.resolve()
 PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "outofthisworldmodel": "owm"}
 RUFF = "ruff==0.17.6"
 
-# Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete at any time.
-# Tests only: on some processors XLA refuses what it stored and says so at length, which pytest keeps to itself.
+# Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete.
+# Tests only: on some processors XLA refuses what it stored and says so at length, which pytest hides.
 JAX_CACHE = {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
 }
 
 
+def _editable(extra: str = "", *packages: str) -> list[str]:
+    """Pip's words for the named packages, or all three, straight from their sources."""
+    suffix = f"[{extra}]" if extra else ""
+    return [word for package in packages or PACKAGES for word in ("-e", f"./{package}{suffix}")]
+
+
 def _install(session: nox.Session, *requirements: str) -> None:
     """Install unless the same requirements are already there, as a stamp in the environment tells.
 
-    The local packages are always named together in one command: an index never gets to answer for one of them.
+    The local packages are named together in one command, so that no index answers for one of them.
     Sources are editable, so only a changed pyproject.toml calls for another install.
     """
     digest = hashlib.sha256(repr((sys.version, str(ROOT), requirements)).encode())
@@ -46,14 +53,9 @@ def _install(session: nox.Session, *requirements: str) -> None:
         session.log("environment is up to date")
         return
     stamp.unlink(missing_ok=True)
-    session.log("installing; the first time this downloads a few hundred MB and takes a minute or more")
+    session.log("installing; the first time this takes a minute or more, without a word")
     session.install(*requirements)
     stamp.write_text(digest.hexdigest(), encoding="ascii")
-
-
-def _editable(extra: str = "", *packages: str) -> list[str]:
-    suffix = f"[{extra}]" if extra else ""
-    return [word for package in packages or PACKAGES for word in ("-e", f"./{package}{suffix}")]
 
 
 @nox.session
@@ -79,21 +81,21 @@ def tests(session: nox.Session) -> None:
 
 @nox.session
 def demo(session: nox.Session) -> None:
-    """Simulate, record, train, plan, fly and report into runs/demo; arguments after `--` go to `owm demo`."""
+    """Simulate, record, train, plan, fly, report into runs/demo; arguments after `--` go to `owm demo`."""
     _install(session, *_editable())
     session.run("owm", "demo", *session.posargs)
 
 
 @nox.session
 def wheels(session: nox.Session) -> None:
-    """Build sdists and wheels into dist/, install the wheels in a clean environment and try them from there."""
+    """Build sdists and wheels into dist/ and try the wheels in a clean environment elsewhere."""
     _install(session, "build>=1.2", "hatchling>=1.25", "virtualenv>=20.26")
     dist = ROOT / "dist"
     shutil.rmtree(dist, ignore_errors=True)
     for package in PACKAGES:
-        session.run(
-            "python", "-m", "build", "--no-isolation", "--outdir", str(dist), f"./{package}", silent=True
-        )
+        # The wheel is built from the sdist, so this also shows that the sdist is complete.
+        build = ["python", "-m", "build", "--no-isolation", "--outdir", str(dist), f"./{package}"]
+        session.run(*build, silent=True)
     built = sorted(dist.glob("*.whl"))
     if len(built) != len(PACKAGES):
         session.error(f"expected {len(PACKAGES)} wheels in dist/, found {[wheel.name for wheel in built]}")
@@ -102,30 +104,27 @@ def wheels(session: nox.Session) -> None:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         session.run("python", "-m", "virtualenv", "--quiet", f"{folder}/venv")
         python = str(Path(folder, "venv", "Scripts/python.exe" if os.name == "nt" else "bin/python"))
+        smoke = ROOT / "tests" / "wheels" / "smoke.py"
         with session.chdir(folder):
-            # The files themselves, not names: no index can offer something else under the same name and version.
+            # Files, not names: no index can offer something else under the same name and version.
             paths = [str(wheel) for wheel in built]
             session.run(python, "-m", "pip", "install", "--quiet", *paths, external=True)
-            smoke = ROOT / "tests" / "wheels" / "smoke.py"
             session.run(python, "-I", str(smoke), external=True, env={"PYTHONPATH": ""})
 
 
 def _check_contents(session: nox.Session, built: list[Path]) -> None:
-    """Fail if a file of a package's source tree (code, data, py.typed) or the licence is missing from its wheel."""
-    packed = {name for wheel in built for name in zipfile.ZipFile(wheel).namelist()}
+    """Fail if a source file (code, data, py.typed) or the licence is missing from the wheels."""
+    listings = {wheel.name: zipfile.ZipFile(wheel).namelist() for wheel in built}
+    packed = {name for names in listings.values() for name in names}
     for package, module in PACKAGES.items():
         source = ROOT / package / "src"
-        files = [
-            path
-            for path in (source / module).rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts
-        ]
-        missing = sorted({path.relative_to(source).as_posix() for path in files} - packed)
+        files = {path.relative_to(source) for path in (source / module).rglob("*") if path.is_file()}
+        missing = sorted({path.as_posix() for path in files if "__pycache__" not in path.parts} - packed)
         if missing:
             session.error(f"{package}: the wheel lacks {missing}")
-    for wheel in built:
-        if not any(name.endswith("/licenses/LICENSE") for name in zipfile.ZipFile(wheel).namelist()):
-            session.error(f"{wheel.name}: no licence inside")
+    for wheel, names in listings.items():
+        if not any(name.endswith("/licenses/LICENSE") for name in names):
+            session.error(f"{wheel}: no licence inside")
 
 
 @nox.session

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from astrojax.atmosphere.harris_priester import geodetic_height
 from jax.flatten_util import ravel_pytree
 
 import astrojax
@@ -30,10 +29,10 @@ from astrojax import (
     time,
 )
 
-STEP = 1e-5  # of each argument's norm, for central differences
+STEP = 2e-6  # of each argument's scale, for central differences
 
-# Private helpers' modules and names that hold no physics.
-NOT_PHYSICS = {"mjd_from_calendar", "celestial_bodies", "derivative", "phase"}
+# Covered by their parts or by tests of their own.
+NOT_PHYSICS = {"mjd_from_calendar", "celestial_bodies", "phase"}
 
 
 class Case(NamedTuple):
@@ -73,9 +72,16 @@ def _bodies(dtype):
     return dynamics.Bodies(jnp.asarray(SUN, dtype), jnp.asarray(MOON, dtype))
 
 
-def _rk4(state, dt, mass):
+def _rk4(state, dt, gm):
+    def f(t, y):
+        return {"r": y["v"], "v": gravity.accel_two_body(y["r"], gm)}
+
+    return integrators.rk4_step(f, 0.0, {"r": state[:3], "v": state[3:]}, dt)
+
+
+def _derivative(state, mass):
     params = dynamics.OrbitParams(_bodies(state.dtype), mass, 50.0, 2.2)
-    return integrators.rk4_step(dynamics.derivative, 0.0, state, dt, params)
+    return dynamics.derivative(0.0, state, params, dynamics.ForceModel(drag=False))
 
 
 def _forces(model, state, mass):
@@ -101,7 +107,7 @@ CASES = [
     Case("moon_position", functools.partial(ephemeris.moon_position, 61253), (A(43210.0),), 3e-5, 1e-2),
     Case("normalize_epoch/over", time.normalize_epoch, (A(61253.0), A(100000.0))),
     Case("normalize_epoch/under", time.normalize_epoch, (A(61253.0), A(-1000.0))),
-    Case("utc_to_tt", time.utc_to_tt, (A(61253.0), A(86380.0))),
+    Case("utc_to_tt", time.utc_to_tt, (A(61253.0), A(86380.0)), 1e-4),
     Case("utc_to_tai", time.utc_to_tai, (A(61253.0), A(100.0))),
     # elements
     Case("mean_motion", elements.mean_motion, (A(6.795e6), A(3.986e14))),
@@ -131,8 +137,8 @@ CASES = [
     Case("accel_zonal/pole", functools.partial(gravity.accel_zonal, degree=6), (A([0.0, 0.0, 7e6]),)),
     Case("accel_third_body/sun", third_body.accel_third_body, (LEO, SUN, A(1.327e20)), 3e-6, 2e-3),
     Case("accel_third_body/moon", third_body.accel_third_body, (LEO, MOON, A(4.9e12))),
-    Case("geodetic_height", geodetic_height, (LEO,), 1e-5),
-    Case("geodetic_height/pole", geodetic_height, (A([0.0, 0.0, -6.8e6]),), 1e-5),
+    Case("geodetic_height", atmosphere.harris_priester.geodetic_height, (LEO,), 1e-5),
+    Case("geodetic_height/pole", atmosphere.harris_priester.geodetic_height, (A([0.0, 0.0, -6.8e6]),), 1e-5),
     Case("density_harris_priester/sea", _HP, (_along(-20e3), SUN), 1e-3, 1e-2),
     Case("density_harris_priester/low", _HP, (_along(60e3), SUN), 1e-3, 1e-2),
     Case("density_harris_priester/first", _HP, (_along(107e3), SUN), 1e-3, 1e-2),
@@ -151,7 +157,8 @@ CASES = [
         functools.partial(_forces, dynamics.ForceModel(0, False, False, False)),
         (STATE, A(1.2e4)),
     ),
-    Case("rk4_step/derivative", _rk4, (STATE, A(10.0), A(1.2e4))),
+    Case("derivative", _derivative, (STATE, A(1.2e4))),
+    Case("rk4_step", _rk4, (STATE, A(10.0), A(3.986e14))),
     # relative motion
     Case("rotation_eci_to_rtn", relative.rotation_eci_to_rtn, (STATE,)),
     Case("rtn_rate", relative.rtn_rate, (STATE, A([1.0, -2.0, 3.0]))),
@@ -209,17 +216,18 @@ def cast(args, dtype):
 
 
 def flat_function(fn, args):
-    """`fn` as a map from one vector to one vector, with each argument scaled by its norm."""
+    """`fn` as a map from one vector to one vector, in units of each argument's scale."""
     sizes = np.cumsum([a.size for a in args])[:-1]
-    scales = [float(np.linalg.norm(a)) or 1.0 for a in args]
+    # States and elements mix units: their scale is each component's size, that of the rest the norm.
+    scales = [np.abs(a) if a.shape == (6,) else (np.linalg.norm(a) or 1.0) * np.ones(a.size) for a in args]
 
     def flat(z):
         parts = jnp.split(z, sizes)
         return ravel_pytree(
-            fn(*(jnp.reshape(p * s, a.shape) for p, s, a in zip(parts, scales, args, strict=True)))
+            fn(*(jnp.reshape(p * s.astype(z.dtype), a.shape) for p, s, a in zip(parts, scales, args)))
         )[0]
 
-    start = np.concatenate([np.ravel(a) / s for a, s in zip(args, scales, strict=True)])
+    start = np.concatenate([np.ravel(a) / s for a, s in zip(args, scales)])
     return flat, start
 
 
@@ -228,8 +236,23 @@ def close(actual, expected, rtol):
         np.testing.assert_allclose(a, b, rtol=0, atol=rtol * float(np.max(np.abs(b))) + 1e-300)
 
 
+def quick_compile_options():
+    """Compiler options that skip optimisation, where JAX has them: most of the time goes into compiling."""
+    options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda x: x, compiler_options=options)(1.0)
+    except jax.errors.JaxRuntimeError:
+        return None
+    return options
+
+
+@pytest.fixture(scope="module")
+def quick():
+    return functools.partial(jax.jit, compiler_options=quick_compile_options())
+
+
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.label)
-def test_values(case, x64):
+def test_values(case, quick, x64):
     """jit = eager, vmap = loop, float32 in gives float32 out (close to float64), one trace for both calls."""
     traces = []
 
@@ -239,44 +262,37 @@ def test_values(case, x64):
 
     args = cast(case.args, jnp.float64)
     eager = case.fn(*args)
-    compiled = jax.jit(counted)
+    compiled = jax.jit(counted)  # fully optimised: reassociation is part of what is tested
     close(compiled(*args), eager, 1e-12)
     factors = jnp.asarray([1.0, 1.0 + 1e-4, 1.0 - 1e-4])
     batch = tuple(a * factors.reshape((3,) + (1,) * a.ndim) for a in args)
     looped = [compiled(*(b[i] for b in batch)) for i in range(3)]
     assert len(traces) == 1
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *looped)
-    close(jax.jit(jax.vmap(case.fn))(*batch), stacked, 1e-12)
+    close(quick(jax.vmap(case.fn))(*batch), stacked, 1e-12)
 
-    narrow = jax.jit(case.fn)(*cast(case.args, jnp.float32))
+    narrow = compiled(*cast(case.args, jnp.float32))
     assert {leaf.dtype for leaf in jax.tree.leaves(eager)} == {jnp.dtype("float64")}
     assert {leaf.dtype for leaf in jax.tree.leaves(narrow)} == {jnp.dtype("float32")}
     close(narrow, eager, case.float32_rtol)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.label)
-def test_gradients(case, x64):
-    """Forward = reverse = central difference in float64; finite and close to them in float32."""
+def test_gradients(case, quick, x64):
+    """Reverse mode = central difference in float64; finite and close to it in float32."""
     flat, start = flat_function(case.fn, case.args)
-    # float64 throughout, whatever the constants inside
-    z = jnp.asarray(start, jnp.float64)
-    offsets = STEP * jnp.eye(z.size, dtype=jnp.float64)
+    offsets = np.concatenate([STEP * np.eye(start.size), -STEP * np.eye(start.size)])
+    values = quick(jax.vmap(flat))(jnp.asarray(start + offsets, jnp.float64))
+    plus, minus = np.split(np.asarray(values), 2)
+    difference = (plus - minus).T / (2 * STEP)
+    size, noise = np.max(np.abs(difference)), 1e-10 * np.max(np.abs(plus))
 
-    @jax.jit
-    def everything(z):
-        shifted = jax.vmap(flat)
-        difference = (shifted(z + offsets) - shifted(z - offsets)).T / (2 * STEP)
-        return flat(z), jax.jacfwd(flat)(z), jax.jacrev(flat)(z), difference
-
-    value, forward, reverse, difference = everything(z)
-    size = float(jnp.max(jnp.abs(difference)))
-    noise = 1e-10 * float(jnp.max(jnp.abs(value)))
-    np.testing.assert_allclose(forward, difference, rtol=0, atol=1e-6 * size + noise)
-    np.testing.assert_allclose(reverse, forward, rtol=0, atol=1e-10 * size)
-
-    narrow = jax.jit(jax.jacrev(flat))(jnp.asarray(start, jnp.float32))
+    gradient = quick(jax.jacrev(flat))
+    wide = gradient(jnp.asarray(start, jnp.float64))
+    np.testing.assert_allclose(wide, difference, rtol=0, atol=1e-6 * size + noise)
+    narrow = gradient(jnp.asarray(start, jnp.float32))
     assert narrow.dtype == jnp.float32
-    np.testing.assert_allclose(narrow, forward, rtol=0, atol=case.gradient_rtol32 * size + 1e-300)
+    np.testing.assert_allclose(narrow, wide, rtol=0, atol=case.gradient_rtol32 * size + 1e-300)
 
 
 def test_every_public_function_has_a_case():
@@ -289,8 +305,10 @@ def test_every_public_function_has_a_case():
                 assert attribute in covered | NOT_PHYSICS, f"{name}.{attribute} has no conformance case"
 
 
-def test_float32_without_x64():
-    """The default JAX configuration runs every function too."""
-    for case in CASES[::7]:
-        out = case.fn(*cast(case.args, jnp.float32))
-        assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(out)), case.label
+@pytest.mark.parametrize("label", ["moon_position", "accel_gravity_and_perturbations", "quat_angle"])
+def test_float32_without_x64(label):
+    """JAX's default configuration runs them too."""
+    case = next(case for case in CASES if case.label == label)
+    out = jax.jit(case.fn)(*cast(case.args, jnp.float32))
+    assert out.dtype == jnp.float32
+    assert np.all(np.isfinite(out))

@@ -1,6 +1,6 @@
 """Try the installed wheels from an empty folder: `python -I smoke.py`, run by `nox -s wheels`.
 
-Everything must come from the environment's own site-packages, with its data, and the three environments must fly.
+Everything must come from the environment's own site-packages, and the three environments must fly.
 """
 
 import importlib

@@ -120,7 +120,7 @@ def quat_to_rotation_vector(q: Quaternion) -> Vector3:
     """Rotation vector [rad] of the shortest rotation, |phi| <= pi, the same for q and -q.
 
     Args:
-        q: (4,) quaternion; its length does not matter.
+        q: (4,) quaternion; its length does not matter (zero gives zero).
 
     Validity: smooth at the identity. A rotation by exactly pi has two equal answers, +-pi about its axis; the
     function jumps there and nowhere else, with finite one-sided gradients.
@@ -128,9 +128,10 @@ def quat_to_rotation_vector(q: Quaternion) -> Vector3:
     q = jnp.where(q[0] < 0, -q, q)
     w, v = q[0], q[1:]
     square = dot(v, v)
-    small = square < _SMALL * w * w
-    ratio = jnp.where(small, square, 0.0) / jnp.where(small, w * w, 1.0)  # tan^2 of the half angle
-    series = 2.0 / jnp.where(small, w, 1.0) * (1.0 - ratio * (1 / 3 - ratio * (1 / 5 - ratio / 7)))
+    small = square <= _SMALL * w * w
+    divisor = jnp.where(small & (w > 0), w, 1.0)
+    ratio = jnp.where(small, square, 0.0) / (divisor * divisor)  # tan^2 of the half angle
+    series = 2.0 / divisor * (1.0 - ratio * (1 / 3 - ratio * (1 / 5 - ratio / 7)))
     sine = jnp.sqrt(jnp.where(small, 1.0, square))
     return jnp.where(small, series, 2.0 * jnp.arctan2(sine, w) / sine) * v
 

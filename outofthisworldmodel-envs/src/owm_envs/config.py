@@ -268,18 +268,18 @@ def load_config(
     """
     if preset not in CONFIG_PRESETS:
         raise ValueError(unknown("preset", preset, CONFIG_PRESETS))
-    values: dict[str, Any] = dict(CONFIG_PRESETS[preset])
+    values = _expand(CONFIG_PRESETS[preset])
     if isinstance(config, DockingConfig):
         values = config.model_dump()
     elif isinstance(config, Mapping):
-        values = _merge(values, config)
+        values = _merge(values, _expand(config))
     elif config is not None:
         with open(config, "rb") as file:
             try:
-                values = _merge(values, tomllib.load(file))
+                values = _merge(values, _expand(tomllib.load(file)))
             except tomllib.TOMLDecodeError as error:
                 raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
-    values = _merge(values, overrides)
+    values = _merge(values, _expand(overrides))
     _check_keys(values, DockingConfig, "")
     try:
         return DockingConfig.model_validate(values)
@@ -301,6 +301,16 @@ def _preset(value, presets, kind):
             raise ValueError(unknown(f"{kind} preset", value, presets))
         return presets[value]
     return value
+
+
+def _expand(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Spell named presets out, so that later values change single fields of them."""
+    expanded = dict(values)
+    for key, presets in (("noise", NOISE_PRESETS), ("reward", REWARD_PRESETS)):
+        if key in expanded:
+            value = _preset(expanded[key], presets, key)
+            expanded[key] = value.model_dump() if isinstance(value, BaseModel) else value
+    return expanded
 
 
 def _merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:

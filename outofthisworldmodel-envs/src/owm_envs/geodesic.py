@@ -1,59 +1,48 @@
 """The geodesic cost-to-go: how far it is to a docking port along the safest short way around the hull.
 
-phi solves the eikonal equation |grad phi| = 1 / speed with phi = 0 at the goal. The speed is 1 in the open and
-falls near the hull, so that -grad phi leads around the station with room to spare and into the approach corridor.
-
-Near the hull phi lives on a fine grid, where nodes that see the goal through open space hold the exact distance
-and the others follow from Godunov's upwind scheme. The fine grid's box is convex, its rim is open space and so is
-everything beyond: there phi is exactly the least of phi(s) + |x - s| over the rim (Hopf-Lax), kept on a coarse
-grid whose nodes fall on the fine grid's faces.
+phi solves the eikonal equation |grad phi| = 1 / speed with phi = 0 at the goal. The speed is 1 in the open
+and falls near the hull, so that -grad phi leads around the station with room to spare and down the corridor.
+`owm_envs.eikonal` solves it; this module keeps the solution, on disk and in memory, and looks it up.
 """
 
-import functools
+import contextlib
+import hashlib
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+import os
+import tempfile
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import platformdirs
 from jaxtyping import Array, Float, Int
 
-_UNREACHED = 1.0e4  # larger than any phi; its square still fits float32 with room
+from owm_envs.eikonal import (
+    FieldConfig,
+    Grid,
+    close_seam,
+    grid_clearance,
+    grid_layout,
+    shared_nodes,
+    solve_coarse,
+    solve_fine,
+)
+from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
 
+__all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "load_field", "solve_field"]
 
-@dataclass(frozen=True)
-class FieldConfig:
-    """The numbers that shape the field (static; metres and degrees where named so)."""
+Progress = Callable[[str, int, int], None]
+"""Called with a message, the ports done and the ports to do."""
 
-    fine_spacing: float = 1.0
-    coarse_spacing: float = 8.0
-    extent: float = 260.0
-    """The coarse grid reaches at least this far from the origin along each axis."""
-    slow_distance: float = 4.0
-    """The speed falls within this distance of a touching sphere."""
-    touching_speed: float = 0.15
-    inside_speed: float = 0.02
-    cone_half_angle_deg: float = 35.0
-    cone_length: float = 20.0
-    """Inside this cone about the port normal the speed is 1 however near the hull is."""
-    side_half_angle_deg: float = 60.0
-    side_range: tuple[float, float] = (3.0, 12.0)
-    side_speed: float = 0.3
-    """Outside the side cone, at these distances from the goal, the speed is at most this."""
-    exact_radius: float = 3.0
-    """Within this distance of the goal phi is the straight distance."""
-    tolerance: float = 1.0e-3
-    """The relaxation stops once eight iterations change no node by more than this [m]."""
-
-    def __post_init__(self) -> None:
-        ratio = self.coarse_spacing / self.fine_spacing
-        if self.fine_spacing <= 0.0 or ratio < 1.0 or not math.isclose(ratio, round(ratio)):
-            raise ValueError(
-                "coarse_spacing must be a whole multiple of fine_spacing > 0; "
-                f"got {self.coarse_spacing} and {self.fine_spacing}"
-            )
+_VERSION = 3  # of the algorithm: part of every cache key
+_SPHERE_RADIUS = 2.25
+_EXACT = jax.lax.Precision.HIGHEST  # accelerators would round the factors
 
 
 class GeodesicField(NamedTuple):
@@ -63,7 +52,8 @@ class GeodesicField(NamedTuple):
     """
 
     nodes: Float[Array, "P M 4"]
-    """phi [m] and its gradient, station frame; fine nodes first, then coarse, each in C order."""
+    """The detour, phi less the straight distance to the goal [m], and its gradient, station frame; fine nodes
+    first, then coarse, each in C order. It is smooth, and zero wherever the goal is in open view."""
     clearances: Float[Array, "M"]
     """Distance of the sphere's surface to the hull [m], negative when it touches; same order."""
     origins: Float[Array, "2 3"]
@@ -79,15 +69,22 @@ class GeodesicField(NamedTuple):
         part = values[..., :split] if grid == 0 else values[..., split:]
         return part.reshape(*values.shape[:-1], *shape)
 
+    def _phi(self, grid: int) -> Array:
+        axes = [self.origins[grid, i] + self.spacings[grid] * jnp.arange(n, dtype=self.origins.dtype)
+                for i, n in enumerate(self.shapes[grid].tolist())]  # fmt: skip
+        points = jnp.stack(jnp.meshgrid(*axes, indexing="ij"), axis=-1)
+        straight = [jnp.linalg.norm(points - goal, axis=-1) for goal in self.goals]
+        return jnp.stack(straight) + self._grid(self.nodes[..., 0], grid)
+
     @property
     def phi_fine(self) -> Float[Array, "P nx ny nz"]:
-        """phi on the fine grid [m]."""
-        return self._grid(self.nodes[..., 0], 0)
+        """phi on the fine grid [m]; computed anew at each call."""
+        return self._phi(0)
 
     @property
     def phi_coarse(self) -> Float[Array, "P mx my mz"]:
-        """phi on the coarse grid [m]."""
-        return self._grid(self.nodes[..., 0], 1)
+        """phi on the coarse grid [m]; computed anew at each call."""
+        return self._phi(1)
 
     @property
     def clearance_fine(self) -> Float[Array, "nx ny nz"]:
@@ -147,22 +144,18 @@ def cost_to_go(
         position: (3,) centre of the chaser [m], station frame; valid everywhere.
 
     Returns:
-        phi [m], and its (3,) gradient interpolated between nodes: continuous within each grid, finite everywhere.
-        Beyond the coarse grid phi grows by the distance to it. Both in the position's dtype.
+        phi [m], continuous, and its (3,) gradient, interpolated between nodes: finite everywhere, zero at the
+        goal, continuous elsewhere within each grid. Both in the position's dtype.
+        Pass the field to compiled functions as an argument: closed over, its 150 MB become a constant.
     """
     position = jnp.asarray(position)
     where_to = position.astype(field.nodes.dtype)
     index, weights, excess = _corners(field, where_to)
-    phi, *gradient = weights @ field.nodes[port_index, index]
-    gradient = jnp.stack(gradient)
-    beyond, outward = _safe_norm(excess)
-    phi, gradient = phi + beyond, jnp.where(excess != 0.0, outward, gradient)
-    # A grid cannot follow the cone at the goal; the straight distance takes over within two to three cells.
+    detour, *gradient = jnp.dot(weights, field.nodes[port_index, index], precision=_EXACT)
+    # Beyond the coarse grid the detour stays what it is at the edge.
+    gradient = jnp.where(excess == 0.0, jnp.stack(gradient), 0.0)
     distance, away = _safe_norm(where_to - field.goals[port_index])
-    ramp = jnp.clip(distance / field.spacings[0] - 2.0, 0.0, 1.0)
-    blend = ramp * ramp * (3.0 - 2.0 * ramp)
-    phi = distance + blend * (phi - distance)
-    gradient = away + blend * (gradient - away)
+    phi, gradient = distance + detour, away + gradient
     return phi.astype(position.dtype), gradient.astype(position.dtype)
 
 
@@ -179,220 +172,198 @@ def clearance(field: GeodesicField, position: Float[Array, "3"]) -> Float[Array,
     """
     position = jnp.asarray(position)
     index, weights, _ = _corners(field, position.astype(field.nodes.dtype))
-    return (weights @ field.clearances[index]).astype(position.dtype)
+    return jnp.dot(weights, field.clearances[index], precision=_EXACT).astype(position.dtype)
 
 
-# ---------------------------------------------------------------- solution
+# ---------------------------------------------------------------- solve, keep
 
 
-class _Grid(NamedTuple):
-    origin: tuple[float, float, float]
-    spacing: float
-    shape: tuple[int, int, int]
-
-    def axes(self) -> list[np.ndarray]:
-        return [np.float32(o) + np.float32(self.spacing) * np.arange(n, dtype=np.float32)
-                for o, n in zip(self.origin, self.shape)]  # fmt: skip
-
-    def points(self) -> np.ndarray:
-        return np.stack(np.meshgrid(*self.axes(), indexing="ij"), axis=-1)
+def _pack(fine_detour: np.ndarray, coarse_detour: np.ndarray, fine: Grid, coarse: Grid) -> np.ndarray:
+    """Join the detour of one port and its central differences into rows (M, 4)."""
+    tables = []
+    for detour, grid in ((fine_detour, fine), (coarse_detour, coarse)):
+        gradient = np.gradient(detour, grid.spacing)
+        tables.append(np.stack([detour, *gradient], axis=-1).astype(np.float32))
+    core, ratio = shared_nodes(fine, coarse)
+    tables[1][core] = tables[0][::ratio, ::ratio, ::ratio]
+    return np.concatenate([table.reshape(-1, 4) for table in tables])
 
 
-def grid_layout(
+def _field(detours: list, rooms: list, goals: np.ndarray, grids: tuple[Grid, Grid]) -> GeodesicField:
+    return GeodesicField(
+        nodes=jnp.asarray(np.stack([_pack(fine, coarse, *grids) for fine, coarse in detours])),
+        clearances=jnp.asarray(np.concatenate([np.asarray(room, np.float32).reshape(-1) for room in rooms])),
+        origins=jnp.asarray([grid.origin for grid in grids], dtype=jnp.float32),
+        spacings=jnp.asarray([grid.spacing for grid in grids], dtype=jnp.float32),
+        shapes=jnp.asarray([grid.shape for grid in grids], dtype=jnp.int32),
+        goals=jnp.asarray(goals, dtype=jnp.float32),
+    )
+
+
+def _solve_port(
+    room_fine: Array, goal: np.ndarray, normal: np.ndarray, grids: tuple[Grid, Grid], config: FieldConfig
+) -> tuple[np.ndarray, np.ndarray]:
+    """The detour of one port at the nodes of both grids."""
+    fine, coarse = grids
+    phi = solve_fine(
+        room_fine, jnp.asarray(goal, jnp.float32), jnp.asarray(normal, jnp.float32), fine, config
+    )
+    phi = np.asarray(phi)
+    straight = [np.linalg.norm(grid.points() - goal, axis=-1) for grid in grids]
+    on_fine = (phi - straight[0]).astype(np.float32)
+    on_coarse = (solve_coarse(phi, goal, fine, coarse) - straight[1]).astype(np.float32)
+    return close_seam(on_fine, on_coarse, fine, coarse), on_coarse
+
+
+def _checked(boxes, goals, normals, sphere_radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    boxes, goals, normals = (np.asarray(a, np.float64) for a in (boxes, goals, normals))
+    if boxes.ndim != 3 or boxes.shape[1:] != (2, 3):
+        raise ValueError(f"boxes must have shape (N, 2, 3); got {boxes.shape}")
+    if not np.all(boxes[:, 1] >= boxes[:, 0]):
+        raise ValueError("boxes must hold the lower corner first: an upper corner lies below its lower one")
+    if goals.ndim != 2 or goals.shape[1] != 3 or len(goals) == 0 or normals.shape != goals.shape:
+        raise ValueError(
+            f"goals and normals must both have shape (P, 3), P > 0; got {goals.shape}, {normals.shape}"
+        )
+    if not (all(np.isfinite(a).all() for a in (boxes, goals, normals)) and sphere_radius >= 0.0):
+        raise ValueError("boxes, goals and normals must be finite and sphere_radius not negative")
+    if not np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6):
+        raise ValueError("normals must be unit vectors")
+    return boxes, goals, normals
+
+
+def solve_field(
     boxes: Float[np.ndarray, "N 2 3"],
     goals: Float[np.ndarray, "P 3"],
     normals: Float[np.ndarray, "P 3"],
-    sphere_radius: float,
-    config: FieldConfig,
-) -> tuple[_Grid, _Grid]:
-    """Place the fine grid over all slow space and the coarse grid so that its nodes meet the fine grid's faces.
+    sphere_radius: float = _SPHERE_RADIUS,
+    config: FieldConfig | None = None,
+) -> GeodesicField:
+    """Solve the cost-to-go for some goals among some boxes; about a second a goal at the standard spacing.
 
     Args:
-        boxes: (N, 2, 3) hull boxes [m], station frame.
+        boxes: (N, 2, 3) lower and upper corners [m], station frame; N may be 0.
         goals: (P, 3) goal positions [m], station frame.
         normals: (P, 3) outward unit normals of the ports.
         sphere_radius: radius of the chaser's bounding sphere [m].
-        config: the field's numbers.
+        config: the field's numbers; the standard ones if not given.
 
-    Returns:
-        The fine and the coarse grid.
+    Raises:
+        ValueError: wrong shapes, non-finite numbers, unordered corners or normals that are not unit vectors.
     """
-    reach = sphere_radius + config.slow_distance
-    # How far the slow shell around a goal reaches along each half-axis: nothing of it lies inside the side cone.
-    side = math.radians(config.side_half_angle_deg)
-    tilt = np.arccos(np.clip(np.concatenate([normals, -normals], axis=1), -1.0, 1.0))  # (P, 6)
-    shell = config.side_range[1] * np.where(tilt >= side, 1.0, np.cos(side - tilt))
-    shell = np.maximum(shell, config.exact_radius)
-    lower = np.concatenate([boxes[:, 0] - reach, goals - shell[:, 3:]]).min(axis=0)
-    upper = np.concatenate([boxes[:, 1] + reach, goals + shell[:, :3]]).max(axis=0)
-    step = config.coarse_spacing
-    cells = np.ceil((upper - lower) / step - 1e-9).astype(int)
-    origin = 0.5 * (lower + upper) - 0.5 * cells * step
-    below = np.ceil(np.maximum(config.extent + origin, step) / step).astype(int)
-    above = np.ceil(np.maximum(config.extent - (origin + cells * step), step) / step).astype(int)
-    ratio = round(step / config.fine_spacing)
-    fine = _Grid(tuple(origin.tolist()), config.fine_spacing, tuple((cells * ratio + 1).tolist()))
-    coarse = _Grid(tuple((origin - below * step).tolist()), step, tuple((cells + below + above + 1).tolist()))
-    return fine, coarse
+    config = FieldConfig() if config is None else config
+    boxes, goals, normals = _checked(boxes, goals, normals, sphere_radius)
+    grids = grid_layout(boxes, goals, normals, sphere_radius, config)
+    rooms = [grid_clearance(jnp.asarray(boxes, jnp.float32), sphere_radius, grid) for grid in grids]
+    detours = [_solve_port(rooms[0], goal, normal, grids, config) for goal, normal in zip(goals, normals)]
+    return _field(detours, rooms, goals, grids)
 
 
-@functools.partial(jax.jit, static_argnames="grid")
-def _grid_clearance(boxes: Float[Array, "N 2 3"], sphere_radius: float, grid: _Grid) -> Float[Array, "..."]:
-    """Exact signed distance from every node to the union of the boxes, less the sphere's radius."""
-    x, y, z = (jnp.asarray(a) for a in grid.axes())
-
-    def nearer(best, box):
-        dx, dy, dz = (jnp.maximum(box[0, i] - a, a - box[1, i]) for i, a in enumerate((x, y, z)))
-        dx, dy, dz = dx[:, None, None], dy[None, :, None], dz[None, None, :]
-        outside = jnp.sqrt(sum(jnp.maximum(d, 0.0) ** 2 for d in (dx, dy, dz)))
-        inside = jnp.minimum(jnp.maximum(jnp.maximum(dx, dy), dz), 0.0)
-        return jnp.minimum(best, outside + inside), None
-
-    far = jnp.full(grid.shape, _UNREACHED, dtype=jnp.float32)
-    return jax.lax.scan(nearer, far, boxes)[0] - sphere_radius
+def _cache_dir() -> Path:
+    override = os.environ.get("OWM_ENVS_CACHE")
+    return Path(override) if override else Path(platformdirs.user_cache_dir("owm_envs", appauthor=False))
 
 
-def _speed(points: Array, room: Array, goal: Array, normal: Array, config: FieldConfig) -> Array:
-    """Speed at points (..., 3) whose clearance is `room`."""
-    offset = points - goal
-    distance = jnp.sqrt(jnp.sum(offset**2, axis=-1))
-    along = offset @ normal
-    slope = (1.0 - config.touching_speed) / config.slow_distance
-    open_space = jnp.clip(config.touching_speed + slope * room, config.touching_speed, 1.0)
-    beside = along < math.cos(math.radians(config.side_half_angle_deg)) * distance
-    near = (distance > config.side_range[0]) & (distance < config.side_range[1])
-    speed = jnp.where(beside & near, jnp.minimum(open_space, config.side_speed), open_space)
-    corridor = (along > math.cos(math.radians(config.cone_half_angle_deg)) * distance) & (
-        distance < config.cone_length
+def _digest(*parts) -> str:
+    """Hash arrays by dtype, shape and bytes, and anything else by its repr."""
+    digest = hashlib.sha256()
+    for part in (_VERSION, *parts):
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str}{part.shape}".encode() + np.ascontiguousarray(part).tobytes())
+        else:
+            digest.update(repr(part).encode())
+    return digest.hexdigest()[:20]
+
+
+def _read(path: Path, shapes: tuple) -> list[np.ndarray] | None:
+    """Read the fine and coarse values of a cache file; None if it is missing or damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            values = [file["fine"], file["coarse"]]
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
+    sound = all(
+        v.shape == s and v.dtype == np.float32 and np.isfinite(v).all() for v, s in zip(values, shapes)
     )
-    speed = jnp.where(corridor | (distance < config.exact_radius), 1.0, speed)
-    return jnp.where(room < 0.0, config.inside_speed, speed)
+    return values if sound else None
 
 
-def _godunov(phi: Array, cost: Array) -> Array:
-    """One upwind update of all nodes; `cost` is spacing over speed."""
-    padded = jnp.pad(phi, 1, constant_values=_UNREACHED)
-    mid = slice(1, -1)
-    a = jnp.minimum(padded[:-2, mid, mid], padded[2:, mid, mid])
-    b = jnp.minimum(padded[mid, :-2, mid], padded[mid, 2:, mid])
-    c = jnp.minimum(padded[mid, mid, :-2], padded[mid, mid, 2:])
-    low, high = jnp.minimum(a, b), jnp.maximum(a, b)
-    low, high, middle = jnp.minimum(low, c), jnp.maximum(high, c), jnp.maximum(low, jnp.minimum(high, c))
-    d, e = middle - low, high - low  # relative to the lowest, to keep float32's digits
-    one = cost
-    two = 0.5 * (d + jnp.sqrt(jnp.maximum(2.0 * cost**2 - d**2, 0.0)))
-    three = (d + e + jnp.sqrt(jnp.maximum((d + e) ** 2 - 3.0 * (d**2 + e**2 - cost**2), 0.0))) / 3.0
-    step = jnp.where(one <= d, one, jnp.where(two <= e, two, three))
-    return jnp.minimum(phi, low + step)
+def _write(path: Path, fine: np.ndarray, coarse: np.ndarray) -> None:
+    """Write a cache file in one step, so that no reader ever sees half of it; a read-only disk only warns."""
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            temporary = file.name
+            np.savez(file, fine=np.asarray(fine, np.float32), coarse=np.asarray(coarse, np.float32))
+        os.replace(temporary, path)
+    except OSError as error:
+        warnings.warn(f"the geodesic field could not be kept in {path.parent}: {error}", stacklevel=3)
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
 
 
-@functools.partial(jax.jit, static_argnames=("grid", "config"))
-def _solve_fine(room: Array, goal: Array, normal: Array, grid: _Grid, config: FieldConfig) -> Array:
-    """phi on the fine grid."""
-    points = jnp.asarray(grid.points())
-    speed = _speed(points, room, goal, normal, config)
-    is_open = (speed >= 1.0).reshape(-1)
-    offset = points - goal
-    distance = jnp.sqrt(jnp.sum(offset**2, axis=-1))
+def load_field(
+    ports: Sequence[str] = PORT_NAMES,
+    boxes: Float[np.ndarray, "N 2 3"] | None = None,
+    progress: Progress | None = None,
+    config: FieldConfig | None = None,
+) -> GeodesicField:
+    """Load the field of the station's ports from the cache, solving what is not there.
 
-    # Nodes that see the goal through open space hold the exact distance: no smaller value is possible.
-    samples = math.ceil(grid.spacing * math.dist(grid.shape, (0, 0, 0)) / (1.5 * grid.spacing))
-    start, step = (goal - jnp.asarray(grid.origin, dtype=room.dtype)) / grid.spacing, offset / grid.spacing
-    strides = jnp.asarray([grid.shape[1] * grid.shape[2], grid.shape[2], 1], dtype=jnp.int32)
+    The cache is the user's cache directory, or the directory named by OWM_ENVS_CACHE; it holds a file a port,
+    named by a hash of everything the numbers depend on. A damaged file is solved anew.
 
-    def look(k, seen):
-        nearest = jnp.round(start + step * ((k + 1.0) / samples).astype(room.dtype)).astype(jnp.int32)
-        return seen & is_open[jnp.sum(nearest * strides, axis=-1)]
+    Args:
+        ports: names from `PORT_NAMES`; row i of the field belongs to ports[i].
+        boxes: (N, 2, 3) hull boxes [m], station frame; the station's own if not given.
+        progress: called before each port that has to be solved and once at the end; a rich progress bar on
+            the standard error stream if not given.
+        config: the field's numbers; the standard ones if not given.
 
-    seen = jax.lax.fori_loop(0, samples, look, jnp.ones(grid.shape, dtype=bool))
-    phi = jnp.where(seen | (distance < 1.8 * grid.spacing), distance, _UNREACHED)
-    cost = grid.spacing / speed
+    Raises:
+        ValueError: no ports, an unknown port (naming the nearest), or bad boxes.
+    """
+    if isinstance(ports, str) or len(ports) == 0:
+        raise ValueError(f"ports must be a non-empty sequence of port names; got {ports!r}")
+    rows = [port_index(name) for name in ports]
+    config = FieldConfig() if config is None else config
+    boxes = hull_boxes() if boxes is None else boxes
+    normals = np.array([port.normal for port in PORTS], np.float64)
+    boxes, goals, normals = _checked(boxes, goal_poses()[:, :3], normals, _SPHERE_RADIUS)
+    # All eight ports place the grids, whichever are asked for: so each port's file serves every selection.
+    grids = grid_layout(boxes, goals, normals, _SPHERE_RADIUS, config)
+    shapes = tuple(grid.shape for grid in grids)
+    folder, common = _cache_dir(), (config, grids, _SPHERE_RADIUS, boxes)
 
-    def advance(carry):
-        phi, _ = carry
-        new = jax.lax.fori_loop(0, 8, lambda _, p: _godunov(p, cost), phi)
-        return new, jnp.max(phi - new)
-
-    return jax.lax.while_loop(
-        lambda carry: carry[1] > config.tolerance, advance, (phi, jnp.asarray(_UNREACHED, dtype=phi.dtype))
-    )[0]
-
-
-def _rim(grid: _Grid, stride: int) -> np.ndarray:
-    """Flat indices of every stride-th node on the faces of a grid."""
-    index = np.stack(np.meshgrid(*(np.arange(0, n, stride) for n in grid.shape), indexing="ij"), axis=-1)
-    on_face = np.any((index == 0) | (index == np.array(grid.shape) - 1), axis=-1)
-    return np.ravel_multi_index(tuple(index[on_face].T), grid.shape)
-
-
-@jax.jit
-def _least_sum(targets: Float[Array, "B K 3"], sources: Float[Array, "S 3"], phi: Float[Array, "P S"]) -> Array:
-    """The least of phi(s) + |x - s| over the sources, (B, K, P), one block of targets at a time."""
-
-    def block(x):
-        square = sum((x[:, None, i] - sources[None, :, i]) ** 2 for i in range(3))
-        distance = jnp.sqrt(square)
-        return jnp.stack([jnp.min(distance + row, axis=1) for row in phi], axis=1)
-
-    return jax.lax.map(block, targets)
-
-
-def _hopf_lax(targets: np.ndarray, sources: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    blocks = -(-len(targets) // 256)
-    padded = np.zeros((blocks * 256, 3), dtype=np.float32)
-    padded[: len(targets)] = targets
-    least = _least_sum(jnp.asarray(padded.reshape(blocks, 256, 3)), jnp.asarray(sources), jnp.asarray(phi))
-    return np.asarray(least).reshape(blocks * 256, -1)[: len(targets)].T
+    path = folder / f"clearance-{_digest('clearance', *common)}.npz"
+    rooms = _read(path, shapes)
+    if rooms is None:
+        rooms = [
+            np.asarray(grid_clearance(jnp.asarray(boxes, jnp.float32), _SPHERE_RADIUS, g)) for g in grids
+        ]
+        _write(path, *rooms)
+    paths = {r: folder / f"{PORT_NAMES[r]}-{_digest(goals[r], normals[r], *common)}.npz" for r in rows}
+    detours = {r: _read(path, shapes) for r, path in paths.items()}
+    missing = [r for r, values in detours.items() if values is None]
+    if missing:
+        with _reporter(progress) as report:
+            for done, r in enumerate(missing):
+                report(f"solving the geodesic field of {PORT_NAMES[r]}", done, len(missing))
+                detours[r] = _solve_port(jnp.asarray(rooms[0]), goals[r], normals[r], grids, config)
+                _write(paths[r], *detours[r])
+            report("geodesic field ready", len(missing), len(missing))
+    return _field([detours[r] for r in rows], rooms, goals[rows], grids)
 
 
-def _trilinear(values: np.ndarray, grid: _Grid, points: np.ndarray) -> np.ndarray:
-    """Interpolate node values (nx, ny, nz) at points (K, 3) inside a grid."""
-    scaled = (points - np.array(grid.origin)) / grid.spacing
-    cell = np.clip(scaled.astype(int), 0, np.array(grid.shape) - 2)
-    fraction = scaled - cell
-    total = np.zeros(len(points))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.prod(np.where(np.array(corner) == 1, fraction, 1.0 - fraction), axis=-1)
-        total += weight * values[tuple((cell + corner).T)]
-    return total
+@contextlib.contextmanager
+def _reporter(progress: Progress | None) -> Iterator[Progress]:
+    if progress is not None:
+        yield progress
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
 
-
-def _solve_coarse(phi_fine: np.ndarray, goals: np.ndarray, fine: _Grid, coarse: _Grid) -> np.ndarray:
-    """phi on the coarse grid, from phi on the fine grid's rim: (P, mx, my, mz)."""
-    ratio = round(coarse.spacing / fine.spacing)
-    points = coarse.points().astype(np.float64)
-    lower = np.array(fine.origin)
-    upper = lower + fine.spacing * (np.array(fine.shape) - 1)
-    gap = np.linalg.norm(np.maximum(np.maximum(lower - points, points - upper), 0.0), axis=-1)
-    phi = np.zeros((len(goals), *coarse.shape))
-    rim_points, rim_phi = fine.points().reshape(-1, 3), phi_fine.reshape(len(goals), -1)
-    near = 4.0 * coarse.spacing
-    # Sampling the rim errs by (half a stride)^2 / gap: a closer look where the gap is small.
-    for chosen, stride in (((gap > 1e-3) & (gap < near), max(ratio // 4, 1)), (gap >= near, max(ratio // 2, 1))):
-        rim = _rim(fine, stride)
-        phi[:, chosen] = _hopf_lax(points[chosen], rim_points[rim], rim_phi[:, rim])
-    first = np.round((lower - np.array(coarse.origin)) / coarse.spacing).astype(int)
-    core = tuple(slice(i, i + (n - 1) // ratio + 1) for i, n in zip(first, fine.shape))
-    outside = gap > 1e-3
-    for p, goal in enumerate(goals):
-        # The straight way to the goal, through the very point where it enters the fine grid.
-        ray = points[outside] - goal
-        room = np.where(ray > 0.0, upper - goal, goal - lower)
-        entry = goal + ray * np.min(room / np.maximum(np.abs(ray), 1e-9), axis=-1, keepdims=True)
-        straight = _trilinear(phi_fine[p], fine, entry) + np.linalg.norm(points[outside] - entry, axis=-1)
-        phi[p][outside] = np.minimum(phi[p][outside], straight)
-        phi[p][core] = phi_fine[p][::ratio, ::ratio, ::ratio]
-    return phi.astype(np.float32)
-
-
-def _pack(phi_fine: np.ndarray, phi_coarse: np.ndarray, fine: _Grid, coarse: _Grid) -> np.ndarray:
-    """Join phi of one port and its central differences into rows (M, 4)."""
-    tables = []
-    for phi, grid in ((phi_fine, fine), (phi_coarse, coarse)):
-        gradient = np.gradient(phi, grid.spacing)
-        tables.append(np.stack([phi, *gradient], axis=-1).astype(np.float32))
-    ratio = round(coarse.spacing / fine.spacing)
-    first = np.round((np.array(fine.origin) - np.array(coarse.origin)) / coarse.spacing).astype(int)
-    core = tuple(slice(i, i + (n - 1) // ratio + 1) for i, n in zip(first, fine.shape))
-    tables[1][core] = tables[0][::ratio, ::ratio, ::ratio]
-    return np.concatenate([table.reshape(-1, 4) for table in tables])
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("geodesic field")
+        yield lambda message, done, total: bar.update(task, description=message, completed=done, total=total)

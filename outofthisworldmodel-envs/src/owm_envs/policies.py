@@ -159,9 +159,9 @@ class ExcitePolicy:
     def init(self, key, port):
         """State: no wrench yet, this episode's amplitudes."""
         dtype = jnp.float32
-        force = jax.random.uniform(named_key(key, "force"), (3,), dtype, 0.2, 1.0)
-        torque = jax.random.uniform(named_key(key, "torque"), (3,), dtype, 0.05, 0.5)
-        amplitude = jnp.concatenate([jnp.broadcast_to(force[0], (3,)), jnp.broadcast_to(torque[0], (3,))])
+        force = jax.random.uniform(named_key(key, "force"), (), dtype, 0.2, 1.0)
+        torque = jax.random.uniform(named_key(key, "torque"), (), dtype, 0.05, 0.5)
+        amplitude = jnp.stack([force] * 3 + [torque] * 3)
         return HoldState(named_key(key, "draws"), jnp.zeros((), jnp.int32), jnp.zeros(6, dtype), amplitude)
 
     def act(self, state, observation):
@@ -175,12 +175,8 @@ class ExcitePolicy:
         drawn = drawn + jnp.concatenate([drag, -inertia / 5.0 * view.rate])
         due = state.count % self.hold == 0
         wrench = jnp.where(due, drawn, state.wrench)
-        return self.layout.action(wrench), HoldState(
-            jax.random.wrap_key_data(jnp.where(due, jax.random.key_data(next_key), jax.random.key_data(state.key))),
-            state.count + 1,
-            wrench,
-            state.scale,
-        )
+        kept_key = jnp.where(due, next_key, state.key)
+        return self.layout.action(wrench), HoldState(kept_key, state.count + 1, wrench, state.scale)
 
 
 class OrbitState(NamedTuple):
@@ -344,6 +340,8 @@ def make_policy(name: str, env: "DockingEnv", *, geodesic_field: Any = None) -> 
         from owm_envs.geodesic import load_field
 
         geodesic_field = load_field()
+    # On the device once, not with every call: the field takes 150 MB.
+    geodesic_field = jax.tree.map(jnp.asarray, geodesic_field)
     return DockGeodesicPolicy(vehicle, geodesic_field, layout=layout)
 
 

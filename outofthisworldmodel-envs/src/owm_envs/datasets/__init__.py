@@ -1,0 +1,10 @@
+"""Datasets of recorded flights: LeRobot v3 folders written and read with pyarrow alone.
+
+`read(path, split)` gives episodes back bit for bit, `read_statistics(path)` what to normalise by; `generate` records.
+"""
+
+from owm_envs.datasets.generate import Request, generate
+from owm_envs.datasets.reader import read, read_statistics
+from owm_envs.datasets.schema import POLICY_NAMES, Episode
+
+__all__ = ["POLICY_NAMES", "Episode", "Request", "generate", "read", "read_statistics"]

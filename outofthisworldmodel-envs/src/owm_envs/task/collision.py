@@ -17,7 +17,7 @@ def swept_clearance(
     examined in that order until none of the rest can be nearer. In a batch the loop ends with the last episode that
     needs it, and does not start where all are clear.
     """
-    start, end, radius, boxes = jax.lax.stop_gradient((start, end, radius, boxes))
+    start, end, radius, boxes = (jax.lax.stop_gradient(jnp.asarray(x)) for x in (start, end, radius, boxes))
     half = jnp.sqrt(jnp.sum((end - start) ** 2)) / 2
     bounds = _point_distances((start + end) / 2, boxes) - half
     nearest = jnp.min(bounds)

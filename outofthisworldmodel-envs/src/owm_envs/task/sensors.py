@@ -11,7 +11,6 @@ from astrojax.attitude import (
 from jaxtyping import Array, Float, Key
 
 from owm_envs.params import NoiseParams
-from owm_envs.task.reset import named_key
 
 
 def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]) -> Float[Array, "13"]:
@@ -20,18 +19,22 @@ def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]
     The attitude error is a rotation in body axes. Source: paper, table of sensor noise models.
     """
     position, velocity, attitude, rate = view[:3], view[3:6], view[6:10], view[10:]
-
-    def error(name, total):
-        return total / jnp.sqrt(jnp.asarray(3, view.dtype)) * jax.random.normal(named_key(key, name), (3,), view.dtype)
-
-    total_position = noise.position + noise.position_per_range * jnp.linalg.norm(position)
-    turned = quat_multiply(attitude, quat_from_rotation_vector(error("attitude", noise.attitude)))
+    total = jnp.stack(
+        [
+            noise.position + noise.position_per_range * jnp.linalg.norm(position),
+            noise.velocity,
+            noise.attitude,
+            noise.rate,
+        ]
+    )
+    per_axis = total / jnp.sqrt(jnp.asarray(3, view.dtype))
+    errors = per_axis[:, None] * jax.random.normal(key, (4, 3), view.dtype)
     return jnp.concatenate(
         [
-            position + error("position", total_position),
-            velocity + error("velocity", noise.velocity),
-            turned,
-            rate + error("rate", noise.rate),
+            position + errors[0],
+            velocity + errors[1],
+            quat_multiply(attitude, quat_from_rotation_vector(errors[2])),
+            rate + errors[3],
         ]
     )
 

@@ -6,19 +6,48 @@ Quaternions are scalar first and unit, `q_ab` turns vectors of frame `b` into fr
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from astrojax.attitude import (
-    quat_conjugate,
-    quat_from_rotation_vector,
-    quat_multiply,
-    quat_rotate,
-    quat_to_rotation_vector,
-)
+import numpy as np
+from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_to_rotation_vector
 from jaxtyping import Array, Float
 
+# The same algebra as `astrojax.attitude`, as contractions with constant tables: inside a differentiated scan over a
+# rollout the component-wise form has many times the operations, and compiling them took longer than training.
+_PRODUCT = np.zeros((4, 4, 4))  # (p q)_k = sum_ij _PRODUCT[k, i, j] p_i q_j
+for _i, _j, _k, _sign in (
+    *((0, a, a, 1) for a in range(4)),
+    *((a, 0, a, 1) for a in range(1, 4)),
+    *((a, a, 0, -1) for a in range(1, 4)),
+    *((1, 2, 3, 1), (2, 3, 1, 1), (3, 1, 2, 1), (2, 1, 3, -1), (3, 2, 1, -1), (1, 3, 2, -1)),
+):
+    _PRODUCT[_k, _i, _j] = _sign
+# R_ij = sum_kl _ROTATION[i, j, k, l] q_k q_l, from (q v) q*
+_CONJUGATE = np.diag([1.0, -1.0, -1.0, -1.0])
+_ROTATION = np.einsum("iam,akj,lm->ijkl", _PRODUCT, _PRODUCT, _CONJUGATE)[1:, 1:]
 
-def quat_toward(q: Float[Array, "4"], reference: Float[Array, "4"]) -> Float[Array, "4"]:
+
+def multiply(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
+    """Return the Hamilton product `p q`."""
+    return jnp.sum(jnp.asarray(_PRODUCT, p.dtype) * (p[:, None] * q[None, :]), axis=(1, 2))
+
+
+def rotation(q: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """Return the rotation matrix of a unit quaternion, the same for `q` and `-q`."""
+    return jnp.sum(jnp.asarray(_ROTATION, q.dtype) * (q[:, None] * q[None, :]), axis=(2, 3))
+
+
+def apply(matrix: Float[Array, "i j"], vector: Float[Array, "j"]) -> Float[Array, "i"]:
+    """Return `matrix @ vector` as a sum that compilers fuse with its neighbours."""
+    return jnp.sum(matrix * vector[None, :], axis=1)
+
+
+def apply_inverse(matrix: Float[Array, "i j"], vector: Float[Array, "i"]) -> Float[Array, "j"]:
+    """Return `matrix.T @ vector`: for a rotation matrix its inverse."""
+    return jnp.sum(matrix * vector[:, None], axis=0)
+
+
+def toward(q: Float[Array, "4"], reference: Float[Array, "4"]) -> Float[Array, "4"]:
     """Return `q` or `-q`, whichever lies on the side of `reference`, so that a sequence stays continuous."""
-    return jnp.where(jnp.dot(q, reference) < 0.0, -q, q)
+    return jnp.where(jnp.sum(q * reference) < 0.0, -q, q)
 
 
 class Motion(NamedTuple):
@@ -44,46 +73,53 @@ class Motion(NamedTuple):
 
 def to_motion(view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Motion:
     """Express a 13-number view in the body frame of another view, the anchor."""
-    inverse = quat_conjugate(anchor[6:10])
+    turn = rotation(anchor[6:10])
     return Motion(
         anchor=jnp.concatenate([anchor[:3], anchor[6:10]]),
-        position=quat_rotate(inverse, view[:3] - anchor[:3]),
-        velocity=quat_rotate(inverse, view[3:6]),
-        attitude=quat_multiply(inverse, view[6:10]),
+        position=apply_inverse(turn, view[:3] - anchor[:3]),
+        velocity=apply_inverse(turn, view[3:6]),
+        attitude=multiply(quat_conjugate(anchor[6:10]), view[6:10]),
         rate=view[10:],
     )
 
 
+def to_station(motion: Motion) -> tuple[Float[Array, "3"], Float[Array, "3"], Float[Array, "3 3"]]:
+    """Return station-frame position, velocity and the rotation matrix of the anchor frame."""
+    turn = rotation(motion.anchor[3:])
+    return motion.anchor[:3] + apply(turn, motion.position), apply(turn, motion.velocity), turn
+
+
 def to_view(motion: Motion) -> Float[Array, "13"]:
     """Return the 13-number view in the station frame, the inverse of `to_motion`."""
-    turn = motion.anchor[3:]
-    attitude = quat_multiply(turn, motion.attitude)
-    return jnp.concatenate(
-        [
-            motion.anchor[:3] + quat_rotate(turn, motion.position),
-            quat_rotate(turn, motion.velocity),
-            attitude / jnp.linalg.norm(attitude),
-            motion.rate,
-        ]
-    )
+    position, velocity, _ = to_station(motion)
+    attitude = multiply(motion.anchor[3:], motion.attitude)
+    return jnp.concatenate([position, velocity, attitude / jnp.linalg.norm(attitude), motion.rate])
 
 
-def advance(motion: Motion, increment: Float[Array, "6"], dt: float) -> Motion:
+def _half_turn(before: Float[Array, "3"], after: Float[Array, "3"], dt: float) -> Float[Array, "4"]:
+    """Return the rotation over half a step at the mean of two rates."""
+    return quat_from_rotation_vector(0.25 * dt * (before + after))
+
+
+def advance(
+    motion: Motion, increment: Float[Array, "6"], dt: float, drift: Float[Array, "3"] | float = 0.0
+) -> Motion:
     """Advance a motion by one step, given by how much velocity and rate change.
 
     Attitude turns by the mean rate, the velocity increment is laid out along the mid-step attitude, position follows by
-    the trapezoidal rule; exact for a constant body acceleration up to third order in `dt`.
+    the trapezoidal rule: errors are of third order in `dt` for a constant body acceleration.
 
     Args:
         motion: where the step starts.
         increment: velocity change (m/s) in the mid-step body frame, then rate change (rad/s) in the body frame.
         dt: step length, s.
+        drift: velocity change (m/s) that does not turn with the body, anchor frame.
     """
     rate = motion.rate + increment[3:]
-    turn = 0.5 * dt * (motion.rate + rate)
-    half = quat_multiply(motion.attitude, quat_from_rotation_vector(0.5 * turn))
-    velocity = motion.velocity + quat_rotate(half, increment[:3])
-    attitude = quat_multiply(motion.attitude, quat_from_rotation_vector(turn))
+    half_turn = _half_turn(motion.rate, rate, dt)
+    middle = multiply(motion.attitude, half_turn)
+    velocity = motion.velocity + apply(rotation(middle), increment[:3]) + drift
+    attitude = multiply(middle, half_turn)
     return Motion(
         anchor=motion.anchor,
         position=motion.position + 0.5 * dt * (motion.velocity + velocity),
@@ -94,16 +130,35 @@ def advance(motion: Motion, increment: Float[Array, "6"], dt: float) -> Motion:
     )
 
 
-def increments(before: Motion, after: Motion, dt: float) -> Float[Array, "6"]:
-    """Return the increments that `advance` would need to reach the velocity and rate of `after` (same anchor)."""
-    turn = 0.5 * dt * (before.rate + after.rate)
-    half = quat_multiply(before.attitude, quat_from_rotation_vector(0.5 * turn))
-    return jnp.concatenate(
-        [quat_rotate(quat_conjugate(half), after.velocity - before.velocity), after.rate - before.rate]
-    )
+def increments(
+    before: Motion, after: Motion, dt: float, drift: Float[Array, "3"] | float = 0.0
+) -> Float[Array, "6"]:
+    """Return the increments that `advance` needs to reach the velocity and rate of `after` (same anchor)."""
+    middle = multiply(before.attitude, _half_turn(before.rate, after.rate, dt))
+    change = apply_inverse(rotation(middle), after.velocity - before.velocity - drift)
+    return jnp.concatenate([change, after.rate - before.rate])
 
 
 def view_error(predicted: Float[Array, "13"], actual: Float[Array, "13"]) -> Float[Array, "12"]:
-    """Return position (m), velocity (m/s), attitude (rotation vector, rad) and rate (rad/s) errors, blind to the sign of q."""
-    attitude = quat_to_rotation_vector(quat_multiply(quat_conjugate(actual[6:10]), predicted[6:10]))
+    """Return errors of position (m), velocity (m/s), attitude (rotation vector, rad) and rate (rad/s).
+
+    The sign of either quaternion does not matter.
+    """
+    attitude = quat_to_rotation_vector(multiply(quat_conjugate(actual[6:10]), predicted[6:10]))
     return jnp.concatenate([predicted[:6] - actual[:6], attitude, predicted[10:] - actual[10:]])
+
+
+def motion_error(predicted: Motion, actual: Motion) -> Float[Array, "4"]:
+    """Return squared errors between motions of one anchor: position, velocity, attitude and rate, SI units.
+
+    The attitude term is `(2 sin(angle / 2))**2`: the squared angle when small, smooth and blind to the sign of q.
+    """
+    turn = rotation(predicted.attitude) - rotation(actual.attitude)
+    return jnp.stack(
+        [
+            jnp.sum((predicted.position - actual.position) ** 2),
+            jnp.sum((predicted.velocity - actual.velocity) ** 2),
+            0.5 * jnp.sum(turn**2),
+            jnp.sum((predicted.rate - actual.rate) ** 2),
+        ]
+    )

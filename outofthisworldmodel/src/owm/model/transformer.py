@@ -10,6 +10,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from owm.model.config import ModelConfig
@@ -42,7 +43,10 @@ class Linear(eqx.Module):
 
 
 class Perceptron(eqx.Module):
-    """Two affine maps with a smooth rectifier between."""
+    """Two affine maps with a gated hidden layer between, whose products of inputs come cheap.
+
+    Source: Shazeer (2020), GLU variants improve transformer, eq. 6 (SwiGLU).
+    """
 
     rise: Linear
     fall: Linear
@@ -51,11 +55,12 @@ class Perceptron(eqx.Module):
         self, inputs: int, hidden: int, outputs: int, dtype: jnp.dtype, *, key: Key[Array, ""], scale: float = 1.0
     ):
         k_rise, k_fall = jax.random.split(key)
-        self.rise = Linear(inputs, hidden, dtype, key=k_rise)
+        self.rise = Linear(inputs, 2 * hidden, dtype, key=k_rise)
         self.fall = Linear(hidden, outputs, dtype, key=k_fall, scale=scale)
 
     def __call__(self, x: Float[Array, "*n i"]) -> Float[Array, "*n o"]:
-        return self.fall(jax.nn.silu(self.rise(x)))
+        gate, value = jnp.split(self.rise(x), 2, axis=-1)
+        return self.fall(jax.nn.silu(gate) * value)
 
 
 def rotate_by_age(x: Float[Array, "T n h e"], newest: int) -> Float[Array, "T n h e"]:
@@ -65,9 +70,9 @@ def rotate_by_age(x: Float[Array, "T n h e"], newest: int) -> Float[Array, "T n 
     is needed. Source: Su et al. (2021), RoFormer, eq. 15 (base 10 000).
     """
     half = x.shape[-1] // 2
-    frequency = 10_000.0 ** (-jnp.arange(half, dtype=x.dtype) / half)
-    angle = (jnp.arange(x.shape[0], dtype=x.dtype) - newest)[:, None] * frequency
-    cos, sin = jnp.cos(angle)[:, None, None], jnp.sin(angle)[:, None, None]
+    # NumPy: a table of the shapes alone, so it is a constant of the compiled program.
+    angle = (np.arange(x.shape[0]) - newest)[:, None] * 10_000.0 ** (-np.arange(half) / half)
+    cos, sin = (jnp.asarray(f(angle)[:, None, None], x.dtype) for f in (np.cos, np.sin))
     a, b = x[..., :half], x[..., half:]
     return jnp.concatenate([a * cos - b * sin, a * sin + b * cos], axis=-1)
 
@@ -174,8 +179,8 @@ class Backbone(eqx.Module):
     ) -> tuple[Float[Array, "T n d"], Memory]:
         """Run a whole sequence, causally; steps that are not `valid` are seen by nobody but themselves."""
         steps, tokens, width = x.shape
-        age = jnp.arange(steps)[:, None] - jnp.arange(steps)[None, :]
-        visible = (age == 0) | ((age > 0) & (age < self.window) & valid[None, :])
+        age = np.arange(steps)[:, None] - np.arange(steps)[None, :]
+        visible = jnp.asarray(age == 0) | (jnp.asarray((age > 0) & (age < self.window)) & valid[None, :])
         pairs = []
         for block in self.blocks:
             x, pair = block.sequence(x, visible)

@@ -1,0 +1,262 @@
+"""Record a dataset: whole episodes in seed order, in batches that a killed run can be resumed from."""
+
+import errno
+import json
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from owm_envs.config import DockingConfig
+from owm_envs.datasets.card import dataset_card
+from owm_envs.datasets.schema import POLICY_NAMES, Episode
+from owm_envs.datasets.writer import SplitWriter, write_json
+from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
+
+FORMAT = 1
+"""Raised whenever equal requests would record other episodes."""
+BEHAVIOUR_MIX = {"random": 0.30, "orbit": 0.35, "dock": 0.35}
+"""Share of each policy among the train episodes. Source: the paper's data generation."""
+BYTES_PER_TRANSITION = 300
+"""Upper estimate of a transition on disk, measured."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record. Train flies the mix at the configured train ports, val flies dock at every configured port.
+
+    `planner_style` is the share of train episodes flown by "excite"; the rest keeps the mix.
+    """
+
+    transitions: int = 20_000
+    val_transitions: int = 2_000
+    seed: int = 0
+    planner_style: float = 0.0
+    episodes_per_batch: int = 64
+
+    def __post_init__(self):
+        for name in ("transitions", "val_transitions", "episodes_per_batch"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.planner_style <= 1:
+            raise ValueError(f"planner_style must be from 0 to 1, got {self.planner_style}")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed must be from 0 to {2**32 - 1}, got {self.seed}")
+
+
+class Flight(NamedTuple):
+    """What an episode of a split is to be: its policy and port."""
+
+    policy: str
+    port: int
+
+
+def train_flights(request: Request, config: DockingConfig) -> Iterator[Flight]:
+    """The endless sequence of train flights.
+
+    Policies and ports are spread evenly from the first episode on, not drawn one by one, so that a small dataset has
+    its share of each: policies by a golden-ratio sequence through the mix, ports by shuffled rounds.
+    """
+    ports = [port_index(name) for name in config.ports if name in TRAIN_PORTS]
+    if not ports:
+        raise ValueError(f"ports must name at least one train port ({', '.join(TRAIN_PORTS)}), got {config.ports}")
+    shares = {name: share * (1 - request.planner_style) for name, share in BEHAVIOUR_MIX.items()}
+    shares["excite"] = request.planner_style
+    names, edges = list(shares), np.cumsum(list(shares.values()))
+    draws = np.random.default_rng([request.seed, 0])
+    place = draws.random()
+    while True:
+        for port in draws.permutation(ports):
+            choice = int(np.searchsorted(edges, place * edges[-1], side="right"))
+            yield Flight(names[min(choice, len(names) - 1)], int(port))
+            place = (place + 0.6180339887498949) % 1.0
+
+
+def val_flights(request: Request, config: DockingConfig) -> Iterator[Flight]:
+    """The endless sequence of val flights: dock at each configured port in turn."""
+    while True:
+        for name in config.ports:
+            yield Flight("dock", port_index(name))
+
+
+class Progress(NamedTuple):
+    """How far a split is; `done` includes an estimate for the batch in flight."""
+
+    split: str
+    done: int
+    target: int
+
+
+def generate(
+    out: str | Path,
+    config: DockingConfig,
+    request: Request,
+    *,
+    announce: Callable[[str], None] = lambda message: None,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> dict:
+    """Record `out/train` and `out/val`, each a LeRobot v3 dataset.
+
+    Everything is written below `out.partial`, which becomes `out` in one step at the end. A run that was killed is
+    resumed, batch by batch, by the same call; its result is the same as if it had not been.
+
+    Args:
+        out: folder to make; must not exist.
+        announce: told in words what begins.
+        progress: told how far it is.
+
+    Returns:
+        Counts of episodes, transitions, policies and outcomes of each split, as in `generation.json`.
+
+    Raises:
+        FileExistsError: `out` exists, or an unfinished run of other settings stands in its way.
+        ValueError: no train port is configured.
+        OSError: the disk is full.
+    """
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise FileExistsError(f"{out} exists already; choose another folder or delete it")
+    flights = {"train": train_flights(request, config), "val": val_flights(request, config)}
+    next(train_flights(request, config))  # refuse a configuration without train ports before anything is written
+    partial = out.with_name(out.name + ".partial")
+    settings = {"format": FORMAT, "request": asdict(request), "environment": config.model_dump(mode="json")}
+    settings = json.loads(json.dumps(settings))
+    targets = {"train": request.transitions, "val": request.val_transitions}
+    least = {"train": 1, "val": len(config.ports)}
+
+    _open_partial(partial, settings, announce)
+    _check_space(partial, config, targets, least)
+    try:
+        summary = {}
+        writers = {}
+        recorder = _Recorder(config, request, announce, progress)
+        for split in ("train", "val"):
+            writers[split] = SplitWriter(partial / split, 1 / config.decision_dt)
+            recorder.record(split, writers[split], flights[split], targets[split], least[split])
+        statistics = writers["train"].statistics()
+        for split, writer in writers.items():
+            writer.finish(statistics)
+            summary[split] = _summary(partial / split, writer)
+        (partial / "config.toml").write_text(config.to_toml(), encoding="utf-8")
+        (partial / "README.md").write_text(dataset_card(config, request, summary), encoding="utf-8")
+        write_json({**settings, "policies": list(POLICY_NAMES), "result": summary}, partial / "generation.json")
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise OSError(
+                errno.ENOSPC, f"the disk is full; free some space and run the same again to go on from {partial}"
+            ) from None
+        raise
+    if out.is_dir():
+        out.rmdir()
+    os.replace(partial, out)
+    return summary
+
+
+def _open_partial(partial: Path, settings: dict, announce) -> None:
+    marker = partial / "generation.json"
+    if partial.exists():
+        try:
+            begun = json.loads(marker.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            begun = {}
+        if {name: begun.get(name) for name in settings} != settings:
+            raise FileExistsError(
+                f"{partial} holds an unfinished run with other settings; delete it, or repeat that run to finish it"
+            )
+        announce(f"resuming {partial}")
+    else:
+        partial.mkdir(parents=True)
+        write_json(settings, marker)
+
+
+def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict) -> None:
+    longest = round(config.horizon / config.decision_dt)
+    expected = sum(max(targets[split], least[split] * longest) for split in targets) + longest
+    there = sum(file.stat().st_size for file in partial.rglob("*") if file.is_file())
+    needed, free = expected * BYTES_PER_TRANSITION - there, shutil.disk_usage(partial).free
+    if needed > free:
+        raise OSError(
+            errno.ENOSPC, f"{expected:,} transitions may take {needed / 1e6:,.0f} MB; {free / 1e6:,.0f} MB are free"
+        )
+
+
+class _Recorder:
+    """Flies batches of the planned flights; the simulator is built and compiled at the first one needed."""
+
+    def __init__(self, config, request, announce, progress):
+        self.config, self.request = config, request
+        self.announce, self.progress = announce, progress
+        self.longest = round(config.horizon / config.decision_dt)
+        likely = -(-request.transitions // self.longest)
+        self.batch = min(request.episodes_per_batch, max(8, 1 << (likely - 1).bit_length()))
+        self._env = None
+
+    def record(self, split: str, writer: SplitWriter, flights: Iterator[Flight], target: int, least: int) -> None:
+        """Fly until the split has whole episodes for `target` transitions and at least `least` of them."""
+        planned = writer.episodes
+        for _ in range(planned):
+            next(flights)
+        while writer.transitions < target or writer.episodes < least:
+            before = writer.transitions
+            self.progress(Progress(split, min(before, target), target))
+            batch = [next(flights) for _ in range(self.batch)]
+
+            def flown(steps, running, before=before):
+                self.progress(Progress(split, min(before + steps * self.batch, target), target))
+
+            kept: list[Episode] = []
+            # In seed order, never those that ended first: that would favour collisions.
+            for episode in self._fly(split, writer.episodes, batch, flown):
+                enough = before + sum(map(len, kept)) >= target and writer.episodes + len(kept) >= least
+                if enough:
+                    break
+                kept.append(episode)
+            writer.write(kept)
+        self.progress(Progress(split, target, target))
+
+    def _fly(self, split, first, batch, flown):
+        import jax
+
+        from owm_envs.env import DockingEnv
+        from owm_envs.policies import make_policy
+        from owm_envs.rollout import rollout
+
+        if self._env is None:
+            self.announce("compiling the simulator, once; this takes a while")
+            self._env = DockingEnv(self.config)
+            names = [*BEHAVIOUR_MIX, *(["excite"] if self.request.planner_style else [])]
+            self._policies = {name: make_policy(name, self._env) for name in names}
+        names = list(self._policies)
+        base = jax.random.fold_in(jax.random.key(np.uint32(self.request.seed)), ("train", "val").index(split))
+        episodes = np.arange(first, first + len(batch), dtype=np.uint32)
+        keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(base, episodes)
+        return rollout(
+            self._env,
+            list(self._policies.values()),
+            keys,
+            np.array([flight.port for flight in batch]),
+            which=np.array([names.index(flight.policy) for flight in batch]),
+            progress=flown,
+        )
+
+
+def _summary(folder: Path, writer: SplitWriter) -> dict:
+    import pyarrow.parquet as pq
+
+    from owm_envs.task.events import Outcome
+
+    columns = ["policy", "port", "outcome"]
+    table = pq.read_table(folder / "data", columns=columns, filters=[("frame_index", "==", 0)])
+    policies, ports, outcomes = (table[name].to_pylist() for name in columns)
+    return {
+        "episodes": writer.episodes,
+        "transitions": writer.transitions,
+        "policies": dict(Counter(POLICY_NAMES[i] for i in policies)),
+        "ports": dict(Counter(PORT_NAMES[i] for i in ports)),
+        "outcomes": dict(Counter(Outcome(i).name.lower() for i in outcomes)),
+    }

@@ -1,0 +1,188 @@
+"""Write one split as a LeRobot v3 dataset: a data file and an episode file for each batch, metadata at the end."""
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, Episode, columns_from_episode
+from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
+from owm_envs.station.ports import PORT_NAMES
+
+FILES_PER_CHUNK = 1000
+FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+TASKS = [f"Dock at {name.replace('_', ' ')}." for name in PORT_NAMES]
+"""A task's index is its port's."""
+
+
+class SplitWriter:
+    """Append batches of whole episodes to a split; each batch is on disk completely or not at all.
+
+    Opening a folder that holds batches already goes on after them.
+
+    Args:
+        folder: of the split; made if absent.
+        fps: decisions a second.
+    """
+
+    def __init__(self, folder: Path, fps: float):
+        self.folder = Path(folder)
+        self.fps = int(fps) if float(fps).is_integer() else float(fps)
+        self.batches = 0
+        self.episodes = 0
+        self.frames = 0
+        self._statistics: list[Statistics] = []
+        while self._path("meta/episodes", self.batches).is_file():
+            self._resume(pq.read_table(self._path("meta/episodes", self.batches)))
+
+    @property
+    def transitions(self) -> int:
+        """Transitions written: every episode's last frame starts none."""
+        return self.frames - self.episodes
+
+    def write(self, episodes: Sequence[Episode]) -> None:
+        """Append a batch of whole episodes."""
+        chunk, file = divmod(self.batches, FILES_PER_CHUNK)
+        tables, rows, statistics = [], [], []
+        index = self.frames
+        for number, episode in enumerate(episodes, start=self.episodes):
+            columns = columns_from_episode(episode, episode_index=number, first_index=index, fps=self.fps)
+            tables.append(pa.table({name: _arrow(values) for name, values in columns.items()}))
+            statistics.append(episode_statistics(columns))
+            length = len(episode) + 1
+            rows.append(
+                {
+                    "episode_index": number,
+                    "tasks": [TASKS[episode.port]],
+                    "length": length,
+                    "data/chunk_index": chunk,
+                    "data/file_index": file,
+                    "dataset_from_index": index,
+                    "dataset_to_index": index + length,
+                    "meta/episodes/chunk_index": chunk,
+                    "meta/episodes/file_index": file,
+                    **{
+                        f"stats/{name}/{key}": value.tolist()
+                        for name, part in statistics[-1].items()
+                        for key, value in part.items()
+                    },
+                }
+            )
+            index += length
+        _write_parquet(pa.concat_tables(tables), self._path("data", self.batches))
+        # The episodes file is the batch's seal: without it the data file is written again.
+        _write_parquet(pa.Table.from_pylist(rows), self._path("meta/episodes", self.batches))
+        self.batches += 1
+        self.episodes += len(episodes)
+        self.frames = index
+        self._statistics += statistics
+
+    def statistics(self) -> Statistics:
+        """Of everything written so far."""
+        return aggregate(self._statistics)
+
+    def finish(self, statistics: Statistics) -> None:
+        """Write the metadata that makes the folder a dataset, with the statistics to normalise by."""
+        meta = self.folder / "meta"
+        _write_parquet(_task_table(), meta / "tasks.parquet")
+        write_json(
+            {name: {key: value.tolist() for key, value in part.items()} for name, part in statistics.items()},
+            meta / "stats.json",
+        )
+        features = {
+            name: {"dtype": feature.dtype, "shape": [feature.width], "names": feature.names}
+            for name, feature in FEATURES.items()
+        }
+        write_json(
+            {
+                "codebase_version": CODEBASE_VERSION,
+                "robot_type": "chaser",
+                "total_episodes": self.episodes,
+                "total_frames": self.frames,
+                "total_tasks": len(TASKS),
+                "chunks_size": FILES_PER_CHUNK,
+                "data_files_size_in_mb": 100,
+                "video_files_size_in_mb": 200,
+                "fps": self.fps,
+                # LeRobot calls whatever one folder holds "train".
+                "splits": {"train": f"0:{self.episodes}"},
+                "data_path": f"data/{FILE_PATTERN}",
+                "video_path": None,
+                "features": features,
+            },
+            meta / "info.json",
+        )
+
+    def _path(self, kind: str, batch: int) -> Path:
+        chunk, file = divmod(batch, FILES_PER_CHUNK)
+        return self.folder / kind / FILE_PATTERN.format(chunk_index=chunk, file_index=file)
+
+    def _resume(self, rows: pa.Table) -> None:
+        for row in rows.to_pylist():
+            part: Statistics = {}
+            for column, value in row.items():
+                if column.startswith("stats/"):
+                    _, name, key = column.split("/")
+                    part.setdefault(name, {})[key] = np.asarray(value)
+            self._statistics.append(part)
+        self.batches += 1
+        self.episodes += rows.num_rows
+        self.frames = rows["dataset_to_index"][-1].as_py()
+
+
+def write_json(value: dict, path: Path) -> None:
+    """Write a JSON file in one step: complete or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".tmp")
+    unfinished.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+    os.replace(unfinished, path)
+
+
+def _write_parquet(table: pa.Table, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".tmp")
+    # Measured numbers do not repeat: dictionaries would only cost time.
+    repeating = [name for name, feature in FEATURES.items() if feature.width == 1 and name in table.column_names]
+    pq.write_table(table, unfinished, compression="zstd", compression_level=1, use_dictionary=repeating)
+    os.replace(unfinished, path)
+
+
+def _arrow(values: np.ndarray) -> pa.Array:
+    if values.ndim == 1:
+        return pa.array(values)
+    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), values.shape[1])
+
+
+def _task_table() -> pa.Table:
+    # The task text must come back as the index of the pandas frame that LeRobot reads this into.
+    table = pa.table({"task_index": pa.array(range(len(TASKS)), pa.int64()), "__index_level_0__": TASKS})
+    columns = [("task_index", "task_index", "int64"), (None, "__index_level_0__", "unicode")]
+    pandas = {
+        "index_columns": ["__index_level_0__"],
+        "column_indexes": [
+            {
+                "name": None,
+                "field_name": None,
+                "pandas_type": "unicode",
+                "numpy_type": "object",
+                "metadata": {"encoding": "UTF-8"},
+            }
+        ],
+        "columns": [
+            {
+                "name": name,
+                "field_name": field,
+                "pandas_type": kind,
+                "numpy_type": "int64" if kind == "int64" else "object",
+                "metadata": None,
+            }
+            for name, field, kind in columns
+        ],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "2.2.0",
+    }
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})

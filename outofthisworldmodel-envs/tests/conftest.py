@@ -1,0 +1,46 @@
+import jax
+import numpy as np
+import pytest
+
+from owm_envs.config import FIDELITIES
+from owm_envs.env import DockingEnv
+
+
+@pytest.fixture(params=FIDELITIES)
+def fidelity(request):
+    return request.param
+
+
+@pytest.fixture
+def x64():
+    """JAX's 64-bit mode for the length of a test."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="session")
+def docking():
+    """Builds (env, params, jitted reset, jitted step) of a configuration once a session; use within `x64`."""
+    built = {}
+
+    def build(**overrides):
+        key = repr(sorted(overrides.items()))
+        if key not in built:
+            env = DockingEnv(None, **overrides)
+            built[key] = env, env.default_params(), jax.jit(env.reset), jax.jit(env.step)
+        return built[key]
+
+    return build
+
+
+@pytest.fixture
+def place():
+    """Puts a docking state at a relative view at rest with respect to its bookkeeping."""
+
+    def placed(env, params, state, view):
+        view = np.asarray(view, np.float64)
+        physics = env.dynamics.init(params, state.physics.epoch, jax.numpy.asarray(view))
+        physics = physics._replace(actuator=state.physics.actuator)
+        return state._replace(physics=physics, view=jax.numpy.asarray(view))
+
+    return placed

@@ -1,0 +1,342 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from itertools import islice
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from owm_envs import datasets
+from owm_envs.config import load_config
+from owm_envs.datasets.generate import Request, generate, train_flights, val_flights
+from owm_envs.datasets.schema import FEATURES, POLICY_NAMES, Episode, columns_from_episode
+from owm_envs.datasets.statistics import aggregate, episode_statistics
+from owm_envs.datasets.writer import SplitWriter
+from owm_envs.station import PORT_NAMES, TRAIN_PORTS, goal_poses
+from owm_envs.task.events import Outcome
+
+ARRAYS = ("observation", "true_state", "epoch", "action", "reward", "done", "success", "goal_pose")
+CONFIG = load_config(fidelity="iss", noise="cooperative", horizon=4.0, ports=["zvezda_aft", "unity_nadir"])
+REQUEST = Request(transitions=450, val_transitions=100, seed=7, episodes_per_batch=2)
+
+
+def assert_same(episode: Episode, other: Episode) -> None:
+    for name in ARRAYS:
+        one, two = getattr(episode, name), getattr(other, name)
+        assert one.dtype == two.dtype, name
+        np.testing.assert_array_equal(one, two, err_msg=name)
+    assert (episode.port, episode.policy, episode.outcome) == (other.port, other.policy, other.outcome)
+
+
+def made_up(rng: np.random.Generator, length: int, port: int = 3, outcome: Outcome = Outcome.DOCKED) -> Episode:
+    """An episode of random numbers, subnormal and huge ones among them."""
+    last = np.arange(length) == length - 1
+    numbers = rng.normal(size=(length + 1, 13)) * 10.0 ** rng.integers(-300, 300, (length + 1, 13))
+    return Episode(
+        observation=rng.normal(size=(length + 1, 13)).astype(np.float32) * np.float32(1e-40),
+        true_state=numbers,
+        epoch=np.stack([np.full(length + 1, 61_253.0), rng.uniform(0, 86_400, length + 1)], axis=1),
+        action=rng.normal(size=(length, 6)).astype(np.float32),
+        reward=rng.normal(size=length).astype(np.float32),
+        done=last,
+        success=last & (outcome == Outcome.DOCKED),
+        port=port,
+        goal_pose=goal_poses()[port],
+        policy=2,
+        outcome=int(outcome),
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A dataset recorded in one go: (folder, its summary)."""
+    folder = tmp_path_factory.mktemp("recorded") / "set"
+    return folder, generate(folder, CONFIG, REQUEST)
+
+
+@pytest.fixture
+def written(tmp_path):
+    """A dataset of made-up episodes in two batches: (folder, episodes)."""
+    rng = np.random.default_rng(0)
+    episodes = [made_up(rng, length, port=length % 8) for length in (1, 5, 30)]
+    writer = SplitWriter(tmp_path / "set", 20.0)
+    writer.write(episodes[:2])
+    writer.write(episodes[2:])
+    writer.finish(writer.statistics())
+    return tmp_path / "set", episodes
+
+
+def test_reading_gives_back_every_bit(written):
+    folder, episodes = written
+    for episode, back in zip(episodes, datasets.read(folder), strict=True):
+        assert_same(episode, back)
+
+
+def test_the_last_row_of_an_episode_pads_its_terminal_observation():
+    episode = made_up(np.random.default_rng(1), 4)
+    rows = columns_from_episode(episode, episode_index=2, first_index=100, fps=20)
+    assert set(rows) == set(FEATURES)
+    assert all(values.shape[0] == 5 and values.dtype == FEATURES[name].dtype for name, values in rows.items())
+    np.testing.assert_array_equal(rows["observation.environment_state"][-1], episode.true_state[-1])
+    assert not rows["action"][-1].any() and rows["next.reward"][-1] == 0
+    assert rows["next.done"].tolist() == rows["next.success"].tolist() == [False] * 3 + [True] * 2
+    np.testing.assert_allclose(rows["timestamp"], np.arange(5) / 20)
+    assert rows["index"].tolist() == [100, 101, 102, 103, 104]
+
+
+def test_statistics_of_episodes_add_up_to_those_of_all_rows():
+    rng = np.random.default_rng(2)
+    parts = [{"action": rng.normal(5, 3, (n, 2)), "port": np.full(n, 4)} for n in (50, 2, 300)]
+    total = aggregate([episode_statistics(part) for part in parts])
+    rows = np.concatenate([part["action"][:-1] for part in parts])
+    for name, value in [("mean", rows.mean(0)), ("std", rows.std(0)), ("min", rows.min(0)), ("max", rows.max(0))]:
+        np.testing.assert_allclose(total["action"][name], value, rtol=1e-12)
+    assert total["action"]["count"].tolist() == [349] and total["port"]["count"].tolist() == [352]
+    one = episode_statistics({"port": rng.normal(size=999)})["port"]
+    np.testing.assert_allclose(one["q10"], np.quantile(rng.normal(size=0).tolist() or [one["q10"][0]], 0.1))
+    values = rng.normal(size=(999, 1))
+    np.testing.assert_allclose(episode_statistics({"port": values})["port"]["q90"], np.quantile(values, 0.9, axis=0))
+
+
+def test_a_recorded_dataset_is_what_was_asked_for(recorded):
+    folder, summary = recorded
+    train, val = datasets.read(folder, "train"), datasets.read(folder, "val")
+    for split, episodes, target in [("train", train, 450), ("val", val, 100)]:
+        counts = [len(episode) for episode in episodes]
+        assert sum(counts) == summary[split]["transitions"] >= target > sum(counts[:-1])
+        assert summary[split]["episodes"] == len(episodes)
+    assert {PORT_NAMES[episode.port] for episode in train} == {"zvezda_aft"}
+    assert [PORT_NAMES[episode.port] for episode in val] == ["zvezda_aft", "unity_nadir"]
+    assert {episode.policy_name for episode in val} == {"dock"}
+    assert len({episode.true_state[0, 0] for episode in train + val}) == len(train + val)
+    info = json.loads((folder / "generation.json").read_text())
+    assert info["request"]["seed"] == 7 and info["result"] == summary
+    assert load_config(folder / "config.toml") == CONFIG
+    assert not list(folder.rglob("*.tmp")) and not folder.with_name("set.partial").exists()
+
+
+def test_both_splits_are_normalised_by_train_alone(recorded):
+    folder, _ = recorded
+    for split in ("train", "val"):
+        statistics = datasets.read_statistics(folder, split)
+        rows = np.concatenate([episode.action for episode in datasets.read(folder, "train")]).astype(np.float64)
+        np.testing.assert_allclose(statistics["action"]["mean"], rows.mean(axis=0), rtol=1e-6)
+        np.testing.assert_allclose(statistics["action"]["std"], rows.std(axis=0), rtol=1e-6)
+        assert set(statistics) == set(FEATURES)
+
+
+def test_the_metadata_says_what_the_files_hold(recorded):
+    folder, summary = recorded
+    for split in ("train", "val"):
+        info = json.loads((folder / split / "meta/info.json").read_text())
+        assert info["codebase_version"] == "v3.0" and info["fps"] == 20
+        files = sorted((folder / split / "data").rglob("*.parquet"))
+        table = pa.concat_tables([pq.read_table(file) for file in files])
+        assert table.num_rows == info["total_frames"] == summary[split]["transitions"] + info["total_episodes"]
+        assert table["index"].to_pylist() == list(range(table.num_rows))
+        assert {name: len(feature["names"] or "-") for name, feature in info["features"].items()} == {
+            name: feature.width for name, feature in FEATURES.items()
+        }
+        meta = pa.concat_tables(pq.read_table(file) for file in sorted((folder / split / "meta/episodes").rglob("*.*")))
+        for row in meta.to_pylist():
+            file = folder / split / info["data_path"].format(
+                chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
+            )
+            held = pq.read_table(file, filters=[("episode_index", "==", row["episode_index"])])
+            assert held["index"].to_pylist() == list(range(row["dataset_from_index"], row["dataset_to_index"]))
+            assert len(held) == row["length"]
+
+
+def test_flights_are_spread_as_the_mix_says():
+    config = load_config()
+    flights = list(islice(train_flights(Request(planner_style=0.2), config), 1000))
+    share = Counter(flight.policy for flight in flights)
+    for policy, expected in [("random", 240), ("orbit", 280), ("dock", 280), ("excite", 200)]:
+        assert abs(share[policy] - expected) <= 5
+    ports = Counter(PORT_NAMES[flight.port] for flight in flights)
+    assert ports == dict.fromkeys(TRAIN_PORTS, 200)
+    both = Counter(flights)
+    assert min(both.values()) > 20, "policy and port must not be tied to each other"
+    assert {flight.policy for flight in flights[:8]} >= {"random", "orbit", "dock"}
+    assert [PORT_NAMES[flight.port] for flight in islice(val_flights(Request(), config), 8)] == list(PORT_NAMES)
+    assert flights == list(islice(train_flights(Request(planner_style=0.2), config), 1000))
+    assert flights != list(islice(train_flights(Request(planner_style=0.2, seed=1), config), 1000))
+
+
+def _command(folder, config):
+    module = [sys.executable, "-m", "owm_envs.cli", "generate", "--out", str(folder), "--config", str(config)]
+    numbers = {"transitions": 450, "val-transitions": 100, "seed": 7, "episodes-per-batch": 2}
+    return module + [word for name, value in numbers.items() for word in (f"--{name}", str(value))]
+
+
+def test_a_killed_run_leaves_nothing_or_resumes_to_the_same_dataset(recorded, tmp_path):
+    whole, _ = recorded
+    folder, config = tmp_path / "set", tmp_path / "config.toml"
+    config.write_text(CONFIG.to_toml(), encoding="utf-8")
+    first = folder.with_name("set.partial") / "train/meta/episodes/chunk-000/file-000.parquet"
+    process = subprocess.Popen(_command(folder, config), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        while not first.is_file() and process.poll() is None:
+            time.sleep(0.005)
+        assert process.poll() is None, "the run ended before it could be killed"
+    finally:
+        os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+        process.wait(timeout=60)
+    assert not folder.exists()
+    with pytest.raises(FileNotFoundError, match="holds an unfinished one"):
+        datasets.read(folder, "train")
+    with pytest.raises(FileExistsError, match="unfinished run with other settings"):
+        generate(folder, CONFIG, Request(transitions=450, val_transitions=100, seed=8, episodes_per_batch=2))
+    kept = first.stat().st_mtime_ns
+    told = []
+    generate(folder, CONFIG, REQUEST, announce=told.append)
+    assert any("resuming" in message for message in told)
+    resumed = folder / first.relative_to(folder.with_name("set.partial"))
+    assert resumed.stat().st_mtime_ns == kept, "the finished batch was flown again"
+    for split in ("train", "val"):
+        for one, other in zip(datasets.read(whole, split), datasets.read(folder, split), strict=True):
+            assert_same(one, other)
+    assert datasets.read_statistics(whole).keys() == datasets.read_statistics(folder).keys()
+    for name in ("README.md", "generation.json", "train/meta/stats.json", "val/meta/info.json"):
+        assert (whole / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_a_batch_without_its_seal_is_written_again(written, tmp_path):
+    folder, episodes = written
+    (folder / "meta/episodes/chunk-000/file-001.parquet").unlink()
+    (folder / "data/chunk-000/file-001.parquet").write_bytes(b"half")
+    writer = SplitWriter(folder, 20.0)
+    assert (writer.batches, writer.episodes, writer.transitions) == (1, 2, 6)
+    writer.write(episodes[2:])
+    writer.finish(writer.statistics())
+    for episode, back in zip(episodes, datasets.read(folder), strict=True):
+        assert_same(episode, back)
+
+
+def test_an_existing_folder_is_left_alone(recorded):
+    folder, _ = recorded
+    with pytest.raises(FileExistsError, match="exists already"):
+        generate(folder, CONFIG, REQUEST)
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ({"transitions": 0}, "transitions must be at least 1"),
+        ({"planner_style": 1.5}, "planner_style must be from 0 to 1"),
+        ({"seed": -1}, "seed must be from 0"),
+    ],
+)
+def test_impossible_requests_are_refused_by_name(request_, message):
+    with pytest.raises(ValueError, match=message):
+        Request(**request_)
+
+
+def test_nothing_is_written_where_no_train_port_or_no_room_is(tmp_path):
+    with pytest.raises(ValueError, match="at least one train port"):
+        generate(tmp_path / "a", load_config(fidelity="iss", ports=["unity_nadir"]), REQUEST)
+    with pytest.raises(OSError, match="MB are free"):
+        generate(tmp_path / "b", CONFIG, Request(transitions=10**15))
+    assert not (tmp_path / "a.partial").exists() and not (tmp_path / "b.partial").exists()
+
+
+def _break(folder, how):
+    info, data = folder / "meta/info.json", folder / "data/chunk-000/file-000.parquet"
+    if how == "missing":
+        return folder / "nowhere"
+    if how == "split":
+        return folder.parent
+    if how == "not lerobot":
+        info.unlink()
+    elif how == "version":
+        info.write_text(info.read_text().replace("v3.0", "v2.1"))
+    elif how == "info":
+        info.write_text("{")
+    elif how == "truncated":
+        data.write_bytes(data.read_bytes()[:-500])
+    elif how == "no data":
+        for file in (folder / "data").rglob("*.parquet"):
+            file.unlink()
+    elif how == "incomplete":
+        (folder / "data/chunk-000/file-001.parquet").unlink()
+    elif how == "columns":
+        pq.write_table(pq.read_table(data).drop_columns(["goal_pose", "epoch"]), data)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("how", "error", "message"),
+    [
+        ("missing", FileNotFoundError, "no dataset at"),
+        ("split", ValueError, "holds the splits set: name one"),
+        ("not lerobot", ValueError, "no meta/info.json"),
+        ("version", ValueError, "version v2.1; this reads version v3"),
+        ("info", ValueError, "not the info.json"),
+        ("truncated", ValueError, "may be truncated"),
+        ("no data", FileNotFoundError, "has no data files"),
+        ("incomplete", ValueError, "holds 2 episodes, its info.json tells of 3"),
+        ("columns", ValueError, "lacks the columns goal_pose, epoch"),
+    ],
+)
+def test_a_broken_dataset_is_refused_in_words(written, how, error, message):
+    folder, _ = written
+    with pytest.raises(error, match=message):
+        datasets.read(_break(folder, how))
+
+
+@pytest.mark.parametrize("inertial", [False, True])
+def test_the_columns_of_the_published_datasets_are_read_too(tmp_path, inertial):
+    rng = np.random.default_rng(5)
+    episode = made_up(rng, 6, port=5)
+    rows = 7
+    if inertial:
+        # A chief on the x axis of a circular equatorial orbit and a chaser 10 m above it, at rest beside it.
+        speed, radius = 7_660.0, 6_795_000.0
+        chief = [radius, 0, 0, 0, speed, 0]
+        chaser = [radius + 10, 0, 0, 0, speed * (radius + 10) / radius, 0]
+        state = np.tile([61_253.0, 0.0, *chief, *chaser, 1, 0, 0, 0, 0, 0, speed / radius], (rows, 1))
+    else:
+        state = rng.normal(size=(rows, 13))
+    vector = np.concatenate([episode.epoch, episode.observation, np.zeros((rows, 12))], axis=1)
+
+    def nested(values):
+        return pa.array([[[float(v)]] for v in values], pa.list_(pa.list_(pa.float32(), 1), 1))
+
+    reward = np.append(episode.reward, 0.0)
+    reward[5] = -1e6
+    table = pa.table(
+        {
+            "observation_vector": pa.array(list(vector)),
+            "state_vector": pa.array(list(state)),
+            "action": pa.array(list(np.append(episode.action, np.zeros((1, 6)), axis=0))),
+            "reward": nested(reward),
+            "terminated": pa.array([False] * 5 + [True] * 2),
+            "policy_id": nested(np.full(rows, 2)),
+            "dock_target": pa.array([[list(episode.goal_pose)]] * rows, pa.list_(pa.list_(pa.float32()), 1)),
+            "episode_index": np.zeros(rows, np.int64),
+        }
+    )
+    (tmp_path / "data/chunk-000").mkdir(parents=True)
+    (tmp_path / "meta").mkdir()
+    pq.write_table(table, tmp_path / "data/chunk-000/file-000.parquet")
+    (tmp_path / "meta/info.json").write_text(json.dumps({"codebase_version": "v3.0", "total_frames": rows}))
+    (back,) = datasets.read(tmp_path)
+    np.testing.assert_array_equal(back.observation, episode.observation)
+    np.testing.assert_array_equal(back.action, episode.action)
+    assert back.port == 5 and back.outcome == Outcome.COLLIDED and back.policy_name == "dock"
+    assert back.done.tolist() == [False] * 5 + [True]
+    if inertial:
+        np.testing.assert_allclose(back.true_state[0, :3], [0, 0, 10], atol=1e-6)
+        np.testing.assert_allclose(back.true_state[0, 3:6], 0, atol=1e-4)
+    else:
+        np.testing.assert_array_equal(back.true_state, state)
+
+
+def test_policy_ids_in_files_never_change():
+    assert POLICY_NAMES[:5] == ("random", "orbit", "dock", "dock-geodesic", "excite")

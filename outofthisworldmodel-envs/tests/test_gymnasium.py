@@ -1,0 +1,247 @@
+import copy
+import json
+import pickle
+import subprocess
+import sys
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import owm_envs  # noqa: F401 - registers the ids
+from owm_envs.registration import IDS
+
+SHORT = {"noise": "cooperative", "horizon": 0.2}  # four steps an episode
+IDS_OF = {fidelity: name for name, fidelity in IDS.items() if name.endswith("-v0")}
+ACTION = np.array([300.0, -200.0, 100.0, 50.0, -40.0, 30.0], np.float32)
+
+
+@pytest.fixture
+def env(fidelity):
+    env = gymnasium.make(IDS_OF[fidelity], **SHORT)
+    yield env
+    env.close()
+
+
+@pytest.fixture
+def vector():
+    """A native vector environment of two slots on the quickest fidelity."""
+    return lambda mode="next_step", **kwargs: gymnasium.make_vec(
+        "ISSHCW-v0", num_envs=2, autoreset_mode=mode, **{**SHORT, **kwargs}
+    )
+
+
+def test_check_env(env):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error")
+        warnings.filterwarnings("ignore", message=".*A Box observation space m.*infinity.*")
+        warnings.filterwarnings("ignore", message=".*For Box action spaces, we recommend using a symmetric.*")
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_ids_make_and_specs_survive_json(name):
+    env = gymnasium.make(name, noise="cooperative", goal_error=True, ports=["zvezda_aft"], normalize=False)
+    assert env.spec.max_episode_steps is None
+    assert env.unwrapped.config.fidelity == IDS[name]
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.config == env.unwrapped.config
+
+
+def test_config_is_a_mapping_or_a_path(tmp_path):
+    file = tmp_path / "rl.toml"
+    file.write_text('noise = "cooperative"\nsteps_per_action = 20\n')
+    from_file = gymnasium.make("ISS-v0", config=str(file)).unwrapped.config
+    from_mapping = gymnasium.make("ISS-v0", config={"noise": "cooperative", "steps_per_action": 20})
+    assert from_file == from_mapping.unwrapped.config
+    assert json.loads(from_mapping.spec.to_json())["kwargs"]["config"]["steps_per_action"] == 20
+
+
+def test_make_without_importing_the_package():
+    code = 'import gymnasium; print(gymnasium.make("owm_envs:ISSNumerical-v0").observation_space.shape)'
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "(27,)"
+
+
+def test_info_tells_the_truth_and_the_observation_the_measurement(env, fidelity):
+    observation, info = env.reset(seed=1, options={"dock_port": "poisk_zenith"})
+    assert info["port"] == "poisk_zenith" and info["outcome"] == "running"
+    layout = env.unwrapped.layout
+    np.testing.assert_allclose(layout.measured_view(observation), info["measured_state"], rtol=1e-6)
+    assert 0 < np.linalg.norm(info["measured_state"][:3] - info["true_state"][:3]) < 0.3
+    np.testing.assert_allclose(info["true_goal_error"][:3], info["true_state"][:3] - info["goal_pose"][:3], atol=1e-9)
+    np.testing.assert_allclose(observation[-12:-9], info["measured_state"][:3] - info["goal_pose"][:3], rtol=1e-5)
+    assert info["true_state"].dtype == np.float64
+    for _ in range(4):
+        observation, _, terminated, truncated, info = env.step(ACTION)
+    assert (terminated, truncated, info["outcome"]) == (False, True, "timeout")
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_a_slot_equals_the_scalar_environment_auto_resets_included(fidelity, mode):
+    vector = gymnasium.make_vec(IDS_OF[fidelity], num_envs=2, autoreset_mode=mode, **SHORT)
+    batch = [vector.reset(seed=7)[0]]
+    for _ in range(9):
+        batch.append(vector.step(np.stack([ACTION, -ACTION]))[0])
+    for slot, action in enumerate([ACTION, -ACTION]):
+        scalar = gymnasium.make(IDS_OF[fidelity], **SHORT)
+        expected = [scalar.reset(seed=7 + slot)[0]]
+        done = False
+        while len(expected) < len(batch):
+            if done:
+                expected.append(scalar.reset()[0])
+                done = False
+            else:
+                observation, _, terminated, truncated, _ = scalar.step(action)
+                done = terminated or truncated
+                if done and mode == "same_step":
+                    observation, done = scalar.reset()[0], False
+                expected.append(observation)
+        np.testing.assert_allclose([b[slot] for b in batch], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_next_step_keeps_the_terminal_observation_then_resets(vector):
+    env = vector("next_step")
+    assert env.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    env.reset(seed=0)
+    for _ in range(4):
+        last, _, _, truncated, info = env.step(np.tile(ACTION, (2, 1)))
+    assert truncated.all() and list(info["outcome"]) == ["timeout"] * 2
+    first, reward, terminated, truncated, info = env.step(np.tile(ACTION, (2, 1)))
+    assert not (terminated | truncated).any() and not reward.any()
+    assert np.abs(first - last)[:, :3].min() > 0.5
+
+
+def test_same_step_returns_the_new_start_and_keeps_the_old_end(vector):
+    env = vector("same_step")
+    env.reset(seed=0)
+    for _ in range(4):
+        observation, reward, _, truncated, info = env.step(np.tile(ACTION, (2, 1)))
+    assert truncated.all() and info["_final_obs"].all()
+    assert list(info["final_info"]["outcome"]) == ["timeout"] * 2 and list(info["outcome"]) == ["running"] * 2
+    measured = env.unwrapped.layout.measured_view(info["final_obs"])
+    np.testing.assert_allclose(measured, info["final_info"]["measured_state"], rtol=1e-6)
+    assert np.abs(observation - info["final_obs"])[:, :3].min() > 0.5
+    assert np.abs(reward).min() > 0
+
+
+def test_disabled_waits_for_a_reset_mask(vector):
+    env = vector("disabled")
+    env.reset(seed=0)
+    for _ in range(5):
+        ended, reward, _, truncated, _ = env.step(np.tile(ACTION, (2, 1)))
+    assert truncated.all() and not reward.any()
+    mask = np.array([False, True])
+    observation, info = env.reset(options={"reset_mask": mask, "dock_port": "zvezda_aft"})
+    np.testing.assert_array_equal(observation[0], ended[0])
+    assert list(info["_port"]) == [False, True] and info["port"][1] == "zvezda_aft"
+    _, _, _, truncated, _ = env.step(np.tile(ACTION, (2, 1)))
+    assert list(truncated) == [True, False]
+
+
+def test_a_port_per_slot(vector):
+    env = vector()
+    _, info = env.reset(seed=0, options={"dock_port": ["unity_nadir", "pirs_nadir"]})
+    assert list(info["port"]) == ["unity_nadir", "pirs_nadir"]
+    with pytest.raises(ValueError, match="2 environments"):
+        env.reset(options={"dock_port": ["unity_nadir"] * 3})
+
+
+def test_bad_input_is_named(env, vector):
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.unwrapped.step(ACTION)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="did you mean 'zvezda_aft'"):
+        env.reset(options={"dock_port": "zvezda_aff"})
+    with pytest.raises(ValueError, match="did you mean 'dock_port'"):
+        env.reset(options={"dock_prt": "zvezda_aft"})
+    with pytest.raises(ValueError, match=r"shape \(6,\), got \(5,\)"):
+        env.unwrapped.step(np.zeros(5))
+    with pytest.raises(ValueError, match="finite"):
+        env.unwrapped.step(np.full(6, np.nan))
+    with pytest.raises(ValueError, match="did you mean 'next_step'"):
+        vector("nextstep")
+    with pytest.raises(ValueError, match="reset_mask"):
+        vector().reset(options={"reset_mask": np.zeros(2, bool)})
+
+
+def test_a_slot_with_a_nan_action_ends_alone_and_stays_finite(vector):
+    env = vector("disabled")
+    env.reset(seed=0)
+    actions = np.stack([ACTION, ACTION])
+    actions[1, 2] = np.nan
+    observation, reward, _, truncated, info = env.step(actions)
+    assert list(info["outcome"]) == ["running", "invalid_action"] and list(truncated) == [False, True]
+    assert np.isfinite(observation).all() and np.isfinite(reward).all()
+
+
+def test_actions_beyond_the_box_are_clipped(vector):
+    views = []
+    for scale in (1.0, 10.0):
+        env = vector()
+        env.reset(seed=0)
+        views.append(env.step(np.tile([1600, 0, 0, 0, 2000, 0], (2, 1)) * scale)[0])
+    np.testing.assert_array_equal(*views)
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_as_the_original(fidelity, duplicate):
+    env = gymnasium.make(IDS_OF[fidelity], **SHORT).unwrapped
+    env.reset(seed=3)
+    env.step(ACTION)
+    twin = duplicate(env)
+    for _ in range(3):
+        mine, theirs = env.step(ACTION), twin.step(ACTION)
+    np.testing.assert_allclose(theirs[4]["true_state"], mine[4]["true_state"], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(theirs[0], mine[0])
+
+
+def test_one_trace_whatever_the_port_seed_and_length(vector):
+    env = vector(horizon=0.35)
+    for seed, port in [(0, "zvezda_aft"), (1, "unity_nadir")]:
+        env.reset(seed=seed, options={"dock_port": port})
+        for _ in range(20):
+            env.step(np.tile(ACTION, (2, 1)))
+    assert env.unwrapped.traces == {"reset": 1, "reset_where": 0, "step": 1}
+
+
+def test_normalised_spaces(vector):
+    env = vector(normalize=True)
+    assert env.single_action_space.high.max() == 1.0
+    observation, _ = env.reset(seed=0)
+    assert np.abs(observation).max() < 2.0
+    raw = vector()
+    raw.reset(seed=0)
+    scaled = env.step(np.full((2, 6), 0.5))[4]["true_state"]
+    plain = raw.step(np.tile([800.0] * 3 + [1000.0] * 3, (2, 1)))[4]["true_state"]
+    np.testing.assert_allclose(scaled, plain, atol=1e-12)
+
+
+def test_rgb_array_shows_the_flight():
+    env = gymnasium.make("ISS-v0", render_mode="rgb_array", **SHORT)
+    env.reset(seed=0)
+    before = env.render()
+    env.step(ACTION)
+    after = env.render()
+    assert before.dtype == np.uint8 and before.ndim == 3 and before.shape[2] == 3
+    assert (before != after).any()
+
+
+PINNED = {
+    "iss": None,
+    "iss-hcw": None,
+    "iss-numerical": None,
+}
+
+
+def test_the_pinned_trajectory(fidelity):
+    """A change here changes every published number: bump the id's version."""
+    env = gymnasium.make(IDS_OF[fidelity], noise="cooperative")
+    env.reset(seed=42)
+    for _ in range(40):
+        observation, *_, info = env.step(ACTION)
+    np.testing.assert_allclose(info["true_state"], PINNED[fidelity], rtol=0, atol=1e-7)

@@ -1,0 +1,177 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from owm_envs.datasets.schema import POLICY_NAMES
+from owm_envs.env import DockingEnv
+from owm_envs.policies import VectorPolicy, make_policy, pointing_error, read_view
+from owm_envs.rollout import rollout
+from owm_envs.station import PORTS, goal_poses, hull_boxes
+from owm_envs.task.events import Outcome
+
+PULLED = ("random", "orbit", "dock", "excite")
+
+
+@pytest.fixture(scope="module")
+def env():
+    return DockingEnv(fidelity="iss-hcw", noise="cooperative", steps_per_action=5, collision_terminates=False)
+
+
+@pytest.fixture(scope="module")
+def policies(env):
+    from owm_envs.eikonal import FieldConfig
+    from owm_envs.geodesic import solve_field
+
+    normals = np.array([port.normal for port in PORTS])
+    field = solve_field(hull_boxes(), goal_poses()[:, :3], normals, config=FieldConfig(fine_spacing=2.0))
+    built = {name: make_policy(name, env) for name in PULLED}
+    return {**built, "dock-geodesic": make_policy("dock-geodesic", env, geodesic_field=field)}
+
+
+@pytest.fixture(scope="module")
+def flights(env, policies):
+    """Eight whole flights of each policy, one to each port, at 4 Hz."""
+    keys = jax.random.split(jax.random.key(11), 8 * len(policies))
+    which = np.repeat(np.arange(len(policies)), 8)
+    episodes = rollout(env, list(policies.values()), keys, np.tile(np.arange(8), len(policies)), which=which)
+    return {name: episodes[8 * i : 8 * i + 8] for i, name in enumerate(policies)}
+
+
+def test_every_name_makes_a_policy_of_that_name(policies):
+    assert {policy.name for policy in policies.values()} == set(POLICY_NAMES) == set(policies)
+
+
+def test_an_unknown_name_names_the_nearest(env):
+    with pytest.raises(ValueError, match="did you mean 'dock-geodesic'"):
+        make_policy("dock-geodesi", env)
+
+
+def test_dock_reaches_every_port_where_nothing_stands_in_the_way(flights):
+    for episode in flights["dock"]:
+        assert episode.outcome == Outcome.DOCKED or episode.info["collided"], episode.info
+
+
+def test_dock_geodesic_docks_at_every_port_without_touching_the_hull(flights):
+    for episode in flights["dock-geodesic"]:
+        assert episode.outcome == Outcome.DOCKED, episode.info
+        assert not episode.info["collided"]
+        assert len(episode) * 0.25 < 200.0
+
+
+def test_orbit_keeps_to_a_circle_with_the_nose_at_its_centre(env, flights):
+    for episode in flights["orbit"]:
+        assert episode.outcome == Outcome.TIMEOUT
+        settled = episode.true_state[len(episode) // 2 :]
+        radius = np.linalg.norm(settled[:, :3], axis=1)
+        assert np.ptp(radius) < 4.0 and 78.0 < radius.mean() < 132.0
+        centripetal = np.linalg.norm(settled[:, 3:6], axis=1) ** 2 / radius * 12_000.0
+        assert np.all((centripetal > 0.5 * 960.0) & (centripetal < 1.1 * 960.0))
+        nose = -settled[:, :3] / radius[:, None]
+        views = [read_view(env.layout, jnp.asarray(row)) for row in episode.observation[len(episode) // 2 :: 90]]
+        errors = [np.linalg.norm(pointing_error(v, jnp.asarray(n))) for v, n in zip(views, nose[::90])]
+        assert np.degrees(max(errors)) < 6.0
+
+
+def test_random_fills_the_whole_range_and_never_repeats(flights):
+    actions = np.concatenate([episode.action for episode in flights["random"]]) / ([1600.0] * 3 + [2000.0] * 3)
+    assert np.all(np.abs(actions) <= 1.0)
+    np.testing.assert_allclose(actions.mean(axis=0), 0.0, atol=0.03)
+    np.testing.assert_allclose(actions.std(axis=0), 1 / np.sqrt(3), atol=0.02)
+    assert len(np.unique(actions[:, 0])) > 0.99 * len(actions)
+
+
+def test_excite_holds_for_two_seconds_and_keeps_rates_in_a_planners_range(flights):
+    for episode in flights["excite"]:
+        held = episode.action[: len(episode) // 8 * 8].reshape(-1, 8, 6)
+        assert np.all(held == held[:, :1])
+        assert len(np.unique(held[:, 0, 0])) > len(held) // 2
+        assert np.linalg.norm(episode.true_state[:, 10:], axis=1).max() < 0.2
+
+
+@pytest.mark.parametrize("name", POLICY_NAMES)
+def test_actions_are_in_the_layout_of_a_normalised_environment(name, env, policies):
+    scaled = DockingEnv(env.config, normalize=True)
+    policy = make_policy(name, scaled, geodesic_field=getattr(policies[name], "field", None))
+    key, port = jax.random.key(1), jnp.asarray(3)
+    view = np.array([20, 60, -30, 0.5, 0, 0.2, 0.6, 0.8, 0, 0, 0.01, 0, 0], np.float32)
+    error = np.zeros(12)
+    with jax.enable_x64(True):
+        observations = [e.layout.observe(np.zeros(2), view.astype(float), error) for e in (env, scaled)]
+    plain, _ = policies[name].act(policies[name].init(key, port), observations[0])
+    action, _ = policy.act(policy.init(key, port), observations[1])
+    assert action.dtype == jnp.float32
+    np.testing.assert_allclose(action * np.array([1600.0] * 3 + [2000.0] * 3), plain, rtol=1e-4, atol=0.05)
+
+
+def _observations(env, count):
+    rng = np.random.default_rng(0)
+    observation = rng.normal(size=(count, env.layout.size)).astype(np.float32)
+    observation[:, :3] *= 100
+    observation[:, 6:10] /= np.linalg.norm(observation[:, 6:10], axis=1, keepdims=True)
+    return observation
+
+
+@pytest.mark.parametrize("name", ["random", "orbit", "excite"])
+def test_a_slot_whose_episode_starts_forgets_and_the_others_do_not(name, env, policies):
+    observations = _observations(env, 3)
+    flown, fresh = (VectorPolicy(policies[name], seed=4) for _ in range(2))
+    for policy in (flown, fresh):
+        policy.reset(ports=np.array([0, 1, 2]))
+    for _ in range(3):
+        action, _ = flown.predict(observations)
+    undisturbed = VectorPolicy(policies[name], seed=4)
+    undisturbed.reset(ports=np.array([0, 1, 2]))
+    for _ in range(4):
+        expected, _ = undisturbed.predict(observations)
+    action, _ = flown.predict(observations, episode_start=np.array([False, True, False]))
+    first, _ = fresh.predict(observations)
+    np.testing.assert_array_equal(action[[0, 2]], expected[[0, 2]])
+    assert not np.allclose(action[1], expected[1]), "the slot went on as if its episode had not ended"
+    assert not np.allclose(action[1], first[1]), "the second episode drew the same numbers as the first"
+
+
+def test_reset_moves_the_masked_slots_to_their_new_ports(env, policies):
+    observations = np.repeat(_observations(env, 1), 3, axis=0)
+    policy = VectorPolicy(policies["dock"])
+    policy.reset(ports=np.array([0, 0, 3]))
+    before, _ = policy.predict(observations)
+    policy.reset(mask=np.array([True, False, False]), ports=np.array([3, 5, 5]))
+    after, _ = policy.predict(observations)
+    np.testing.assert_array_equal(after[0], before[2])
+    np.testing.assert_array_equal(after[1:], before[1:])
+
+
+def test_predict_takes_state_back_and_single_observations(env, policies):
+    observations = _observations(env, 2)
+    policy = VectorPolicy(policies["random"], seed=1)
+    policy.reset(ports=[1, 2])
+    _, state = policy.predict(observations)
+    second, _ = policy.predict(observations)
+    again, _ = policy.predict(observations, state=state)
+    np.testing.assert_array_equal(second, again)
+    assert second.dtype == np.float32 and second.shape == (2, 6)
+    single = VectorPolicy(policies["dock"])
+    single.reset(ports=2)
+    assert single.predict(observations[0])[0].shape == (6,)
+
+
+@pytest.mark.parametrize(
+    ("ports", "mask", "observations", "message"),
+    [
+        ([0, 8], None, None, "from 0 to 7"),
+        (None, [True, True], None, "ports must be given"),
+        ([0, 1], None, (3, 25), r"\(2, 25\), got \(3, 25\)"),
+        ([0, 1], None, (2, 13), r"\(2, 25\), got \(2, 13\)"),
+    ],
+)
+def test_misuse_is_refused_by_name(policies, ports, mask, observations, message):
+    policy = VectorPolicy(policies["dock"])
+    with pytest.raises(ValueError, match=message):
+        policy.reset(mask=mask, ports=ports)
+        policy.predict(np.zeros(observations, np.float32))
+
+
+def test_predict_before_reset_asks_for_the_ports(policies):
+    with pytest.raises(ValueError, match="call reset"):
+        VectorPolicy(policies["dock"]).predict(np.zeros((1, 25), np.float32))

@@ -1,0 +1,39 @@
+"""The floor: whatever moves keeps moving, whatever turns keeps turning, actions are ignored."""
+
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from owm.model.interface import History
+from owm.model.kinematics import Motion, advance, to_motion, to_view
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """Constant station-relative velocity and body rate."""
+
+    history_length: int = 8
+    dt: float = 0.25
+    name: str = field(default="constant velocity", compare=False)
+    params: tuple[()] = field(default=(), compare=False)
+
+    def encode(self, params: tuple[()], history: History) -> Motion:
+        """Start from the last measurement."""
+        return to_motion(history.observation[-1], history.observation[-1])
+
+    def step(
+        self, params: tuple[()], key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion
+    ) -> Motion:
+        """Coast for one step."""
+        return advance(state, jnp.zeros_like(state.anchor[:6]), self.dt)
+
+    def observe(
+        self, params: tuple[()], state: Motion, action: Float[Array, "6"], observation: Float[Array, "13"]
+    ) -> Motion:
+        """Forget the past."""
+        return to_motion(observation, observation)
+
+    def decode(self, params: tuple[()], state: Motion) -> dict[str, Array]:
+        """Return the view in the station frame."""
+        return {"state": to_view(state)}

@@ -1,0 +1,113 @@
+"""The environment's own equations of motion as a world model: what perfect dynamics would buy."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from astrojax.attitude import quat_normalize
+from astrojax.time import normalize_epoch
+from jaxtyping import Array, Float, Key
+from owm_envs.config import FIDELITIES, DockingConfig, Fidelity, load_config, unknown
+from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState
+from owm_envs.params import ChaserParams, ChiefParams, params_from_config
+
+from owm.model.interface import History
+
+
+class ExactParams(NamedTuple):
+    """The physical constants that the equations of motion read."""
+
+    chief: ChiefParams
+    chaser: ChaserParams
+
+
+@dataclass(frozen=True)
+class ExactDynamics:
+    """The equations of motion of a fidelity, started from the last measurement, noise and all.
+
+    It is given mass, inertia, drag and the station's orbit, but not the time: the station is taken to be
+    where it is at the reference epoch, which moves the small perturbations along the orbit but nothing else.
+    Commands are taken
+    to be delivered as they are: thrust scale, misalignment and delay are not modelled. One RK4 step of `dt`
+    replaces the environment's five.
+
+    Args:
+        fidelity: one of `FIDELITIES`; "iss-numerical" computes in float64 and must be called in JAX's 64-bit
+            mode.
+        config: the environment whose vehicles to take; the default one when None.
+        history_length: `H` to report, so that it takes the same histories as the model beside it.
+        dt: seconds a step.
+
+    Raises:
+        ValueError: the fidelity is unknown (naming the nearest).
+    """
+
+    fidelity: Fidelity = "iss-numerical"
+    config: DockingConfig | None = field(default=None, compare=False, repr=False)
+    history_length: int = 8
+    dt: float = 0.25
+    dynamics: Dynamics = field(init=False, repr=False)
+    params: ExactParams = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.fidelity not in FIDELITIES:
+            raise ValueError(unknown("fidelity", self.fidelity, FIDELITIES))
+        config = load_config(self.config, fidelity=self.fidelity, precision=self.precision)
+        with jax.enable_x64(self.precision == "float64"):
+            # NumPy leaves: a float64 JAX array would narrow wherever it is touched outside the 64-bit mode.
+            params = jax.device_get(params_from_config(config))
+        object.__setattr__(self, "dynamics", DYNAMICS[self.fidelity](config))
+        object.__setattr__(self, "params", ExactParams(params.chief, params.chaser))
+
+    @property
+    def name(self) -> str:
+        """What reports call it."""
+        return f"exact dynamics ({self.fidelity})"
+
+    @property
+    def precision(self) -> str:
+        """The dtype that its numbers need."""
+        return "float64" if self.fidelity == "iss-numerical" else "float32"
+
+    def encode(self, params: ExactParams, history: History) -> PhysicalState:
+        """Start from the last measurement at the reference epoch.
+
+        Raises:
+            RuntimeError: float64 is needed and JAX's 64-bit mode is off.
+        """
+        return self._start(params, params.chief.epoch, history.observation[-1])
+
+    def step(
+        self, params: ExactParams, key: Key[Array, ""] | None, action: Float[Array, "6"], state: PhysicalState
+    ) -> PhysicalState:
+        """Advance by `dt` under a held body wrench; deterministic with or without a key."""
+        dtype = state.elapsed.dtype
+        return self.dynamics.step(params, state, action.astype(dtype), jnp.asarray(self.dt, dtype))
+
+    def observe(
+        self,
+        params: ExactParams,
+        state: PhysicalState,
+        action: Float[Array, "6"],
+        observation: Float[Array, "13"],
+    ) -> PhysicalState:
+        """Start again from the measurement, one step later."""
+        epoch = jnp.stack(normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed + self.dt))
+        return self._start(params, epoch, observation)
+
+    def decode(self, params: ExactParams, state: PhysicalState) -> dict[str, Array]:
+        """Return the view in the station frame."""
+        return {"state": self.dynamics.relative_state(params, state)}
+
+    def _start(self, params, epoch, view):
+        dtype = jnp.dtype(self.precision)
+        if jax.dtypes.canonicalize_dtype(dtype) != dtype:
+            raise RuntimeError(
+                f"{self.name} needs JAX's 64-bit mode: work inside `with jax.enable_x64(True):` "
+                "(PlannerPolicy does so by itself)"
+            )
+        params = jax.tree.map(jnp.asarray, params)
+        view = jnp.asarray(view, dtype)
+        view = jnp.concatenate([view[:6], quat_normalize(view[6:10]), view[10:]])
+        return self.dynamics.init(params, jnp.asarray(epoch, dtype), view)

@@ -1,0 +1,52 @@
+"""What a linear fit alone achieves on the analytic kinematics: the bar that a network has to clear."""
+
+from dataclasses import dataclass, field
+
+from jaxtyping import Array, Float, Key
+
+from owm.data import Episodes
+from owm.model.interface import History
+from owm.model.kinematics import Motion, to_motion, to_view
+from owm.model.linear import LinearMap, fit_linear_map, linear_advance
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Increments linear in the action (body frame) and, if fitted, in position and velocity (station frame)."""
+
+    params: LinearMap = field(compare=False, repr=False)
+    history_length: int = 8
+    dt: float = 0.25
+    name: str = field(default="least squares", compare=False)
+
+    def encode(self, params: LinearMap, history: History) -> Motion:
+        """Start from the last measurement."""
+        return to_motion(history.observation[-1], history.observation[-1])
+
+    def step(
+        self, params: LinearMap, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion
+    ) -> Motion:
+        """Apply the map for one step; deterministic with or without a key."""
+        return linear_advance(params, state, action, self.dt)
+
+    def observe(
+        self, params: LinearMap, state: Motion, action: Float[Array, "6"], observation: Float[Array, "13"]
+    ) -> Motion:
+        """Forget the past."""
+        return to_motion(observation, observation)
+
+    def decode(self, params: LinearMap, state: Motion) -> dict[str, Array]:
+        """Return the view in the station frame."""
+        return {"state": to_view(state)}
+
+
+def fit_least_squares(episodes: Episodes, *, station: bool = True, history_length: int = 8) -> LeastSquares:
+    """Fit the baseline to training episodes.
+
+    Args:
+        episodes: measured transitions; the truth is not used.
+        station: fit orbital terms too, as the skip under the network does; otherwise the action's effect alone.
+        history_length: `H` to report, so that it takes the same histories as the model beside it.
+    """
+    name = "least squares" if station else "least squares, action only"
+    return LeastSquares(fit_linear_map(episodes, station=station), history_length, episodes.dt, name)

@@ -1,0 +1,204 @@
+"""The `owm` command. Heavy imports wait inside the commands, so that `--help` is quick."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+Shell = Literal["100-225", "100-125"]
+Preset = Literal["ci", "nano", "small", "paper"]
+
+
+def fly(
+    policy: str = "dock",
+    port: str = "zvezda_aft",
+    plot: bool = False,
+    flights: int = 1,
+    seed: int = 0,
+    shell: Shell = "100-225",
+    noise: str = "cooperative",
+    env: str = "iss-numerical",
+    out: Path = Path("runs/fly"),
+) -> None:
+    """Fly a policy to a docking port and print how it went.
+
+    Args:
+        policy: dock, dock-geodesic, random, orbit, oracle-mppi, or the folder of a checkpoint.
+        port: Docking port.
+        plot: Draw the trajectory into OUT.
+        flights: How many, each from a start of its own.
+        seed: Decides the starts.
+        shell: Distance from the station at the start, m.
+        noise: Sensor noise: none, cooperative or noncooperative.
+        env: iss, iss-hcw or iss-numerical.
+        out: Folder for CSV, JSON and picture.
+    """
+    _compilation_cache()
+    from owm.commands import fly as run
+
+    run(policy, port, flights=flights, seed=seed, shell=shell, noise=noise, fidelity=env, out=out, plot=plot)
+
+
+def evaluate() -> None:
+    """Score policies (`owm evaluate docking`) or predictions (`owm evaluate prediction`)."""
+
+
+def evaluate_docking(
+    policies: Annotated[tuple[str, ...], tyro.conf.Positional],
+    flights: int = 50,
+    ports: tuple[str, ...] = (),
+    seed: int = 0,
+    shell: Shell = "100-225",
+    noise: str = "cooperative",
+    slots: int = 40,
+    out: Path = Path("runs/evaluate"),
+) -> None:
+    """Score policies by the evaluation protocol: identical starts, fourteen definitions of success.
+
+    Args:
+        policies: Names or paths, as `owm fly --policy` takes them.
+        flights: How many to each port.
+        ports: Docking ports; all eight by default.
+        seed: Decides the starts.
+        shell: Distance from the station at the start, m.
+        noise: Sensor noise: none, cooperative or noncooperative.
+        slots: Most flights side by side.
+        out: Folder for tables and pictures.
+    """
+    _compilation_cache()
+    from owm.commands import evaluate_docking as run
+
+    run(policies, flights=flights, ports=ports, seed=seed, shell=shell, noise=noise, slots=slots, out=out)
+
+
+def evaluate_prediction(
+    models: Annotated[tuple[str, ...], tyro.conf.Positional],
+    data: Path,
+    split: str = "val",
+    windows: int = 512,
+    seed: int = 0,
+    out: Path = Path("runs/evaluate"),
+) -> None:
+    """Score open-loop predictions by horizon on recorded episodes, constant velocity beside them.
+
+    Args:
+        models: Folders of checkpoints, or oracle-mppi for the exact dynamics.
+        data: Dataset to predict.
+        split: Its split.
+        windows: How many windows to draw.
+        seed: Decides which.
+        out: Folder for table and picture.
+    """
+    _compilation_cache()
+    from owm.commands import evaluate_prediction as run
+
+    run(models, data, split=split, windows=windows, seed=seed, out=out)
+
+
+def demo(
+    scale: Literal["full", "ci"] = "full", out: Path = Path("runs/demo"), seed: int = 0, fresh: bool = False
+) -> None:
+    """Simulate, record, train, predict, plan, fly and report, end to end.
+
+    Args:
+        scale: full takes up to a quarter of an hour on two cores, ci a few minutes.
+        out: Folder for everything; a killed run is resumed.
+        seed: Decides everything random.
+        fresh: Start over, whatever is there.
+    """
+    _compilation_cache()
+    from owm.demo import demo as run
+
+    if not run(scale, out, seed, fresh=fresh):
+        raise SystemExit(1)
+
+
+def _train(preset: str):
+    """The `train` command, its flags those of a training preset."""
+    from owm.training.config import PRESETS, TrainConfig
+
+    start_from = preset if preset in PRESETS else "nano"
+
+    def train(
+        data: Path,
+        out: Path,
+        preset: Preset = start_from,
+        config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+    ) -> None:
+        """Train a world model on a dataset; a killed run is resumed by the same command.
+
+        Args:
+            data: Dataset, as `owm-envs generate` writes it.
+            out: Folder for the checkpoint.
+            preset: Named configuration that the other flags change.
+            config: The run.
+        """
+        del preset
+        _compilation_cache()
+        from owm.commands import train as run
+
+        run(data, out, config)
+
+    return train
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command; a user's mistake ends with exit code 2 and one line that says what it is."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    app, prog, description = tyro.extras.SubcommandApp(), "owm", "A world model of spacecraft rendezvous."
+    if arguments[:1] == ["evaluate"]:
+        app.command(evaluate_docking, name="docking")
+        app.command(evaluate_prediction, name="prediction")
+        arguments, prog, description = arguments[1:], "owm evaluate", evaluate.__doc__
+    else:
+        app.command(fly)
+        app.command(evaluate)
+        app.command(_train(_option(arguments, "--preset")), name="train")
+        app.command(demo)
+    try:
+        app.cli(prog=prog, description=description, args=arguments)
+    except BrokenPipeError:
+        # Whoever read the output has gone, as `head` does; nothing more to say, at exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
+    except (ValueError, OSError) as error:
+        if os.environ.get("OWM_TRACEBACK"):
+            raise
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _option(arguments: list[str], name: str) -> str:
+    """The value of an option, before the parser knows which options there are."""
+    for i, word in enumerate(arguments):
+        if word == name and i + 1 < len(arguments):
+            return arguments[i + 1]
+        if word.startswith(name + "="):
+            return word.partition("=")[2]
+    return ""
+
+
+def _compilation_cache() -> None:
+    """Keep compiled programs in the user's cache directory, so that later runs start at once.
+
+    Commands only: importing the package changes no setting of JAX's. The environment variable
+    JAX_COMPILATION_CACHE_DIR, where set, wins.
+    """
+    # On some processors XLA refuses what it stored, recompiles, and says so at length.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import jax
+    import platformdirs
+
+    if not os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        folder = platformdirs.user_cache_path("outofthisworldmodel", appauthor=False) / "compiled"
+        jax.config.update("jax_compilation_cache_dir", str(folder))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+if __name__ == "__main__":
+    main()

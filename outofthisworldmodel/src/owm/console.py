@@ -1,0 +1,71 @@
+"""Messages and progress bars of the commands; results go to standard output, these to standard error."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+from owm.evaluation.report import Table
+from owm.evaluation.tables import to_rich
+
+console = Console(stderr=True, highlight=False)
+_WIDTH = 140
+"""Columns where there is no terminal to ask."""
+
+
+def announce(text: str) -> None:
+    """Say what begins."""
+    console.print(text)
+
+
+def print_table(table: Table, title: str = "") -> None:
+    """Print a table as results are printed: to standard output."""
+    terminal = Console(highlight=False)
+    if not terminal.is_terminal:
+        terminal = Console(highlight=False, width=_WIDTH)
+    terminal.print(to_rich(table, title))
+    if table.caption:
+        terminal.print(table.caption, style="dim")
+
+
+@contextlib.contextmanager
+def bar(description: str, unit: str = "") -> Iterator[Callable[..., None]]:
+    """Show a progress bar while the block runs; call the yielded function with (done, total, note)."""
+    columns = [
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=28),
+        MofNCompleteColumn(),
+        TextColumn(f"{unit} {{task.fields[note]}}"),
+        TimeElapsedColumn(),
+    ]
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(description, total=None, note="")
+
+        def update(done: float, total: float, note: str = "") -> None:
+            progress.update(task, completed=done, total=total, note=note)
+
+        yield update
+
+
+@contextlib.contextmanager
+def flying(name: str, flights: int, slots: int) -> Iterator[Callable[[int, int, int, int], None]]:
+    """A bar for `fly_episodes`: decisions of all batches, the first of which waits for the compiler."""
+    batches = -(-flights // slots)
+    with bar(f"flying {name}", "decisions") as update:
+        update(0, 0, "compiling")
+
+        def progress(before: int, decision: int, decisions: int, running: int) -> None:
+            # A batch that ends early has all its decisions behind it.
+            done = before // slots * decisions + (decision if running else decisions)
+            update(done, batches * decisions, f"{running} flying")
+
+        yield progress

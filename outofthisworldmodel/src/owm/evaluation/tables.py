@@ -1,0 +1,170 @@
+"""What reports and terminals say about flights and predictions, as tables of text."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
+
+from owm.evaluation.flights import TOLERANCES, Flights, rate, score, succeeded
+from owm.evaluation.prediction import PredictionError
+from owm.evaluation.report import Table
+
+INTERVALS = "brackets: 95 % Wilson intervals"
+
+
+def percent(numbers: Mapping[str, float], interval: bool = True) -> str:
+    """A rate as "92 % [74, 98]"; a dash without a trial."""
+    if not numbers["total"]:
+        return "–"
+    text = f"{100 * numbers['rate']:.0f} %"
+    return f"{text} [{100 * numbers['low']:.0f}, {100 * numbers['high']:.0f}]" if interval else text
+
+
+def docking_table(flights: Sequence[Flights], strong: Sequence[str] = ()) -> Table:
+    """The headline: success, events and medians of each policy over all ports."""
+    rows = []
+    for each in flights:
+        scores = score(each)
+        rows.append(
+            [
+                each.policy,
+                str(len(each)),
+                percent(rate(succeeded(each, 1.0))),
+                percent(rate(succeeded(each, 0.1, full=True))),
+                percent(scores["collision"], False),
+                percent(scores["escape"], False),
+                percent(scores["timeout"], False),
+                _number(scores["median_time"], "{:.0f}"),
+                _number(scores["median_delta_v"], "{:.1f}"),
+                _number(scores["least_clearance"], "{:.2f}"),
+                f"{1000 * each.decision_seconds:.2g}",
+            ]
+        )
+    return Table(
+        [
+            "policy",
+            "flights",
+            "1 m, no collision",
+            "0.1 m strict, no collision",
+            "collided",
+            "escaped",
+            "timed out",
+            "median s",
+            "median Δv m/s",
+            "least clearance m",
+            "ms a decision",
+        ],
+        rows,
+        "1 m: closest approach of the chaser's centre to the hold pose; strict: 0.1 m, 0.5 m/s, 5 deg and "
+        f"0.5 deg/s there; {INTERVALS}. A collision is recorded and the flight goes on, but it fails every "
+        "success column. Medians are over the flights of the 1 m column; clearance is the bounding sphere's.",
+        [i for i, each in enumerate(flights) if each.policy in strong],
+    )
+
+
+def port_table(flights: Sequence[Flights]) -> Table:
+    """Collision-free flights within 1 m by port, and pooled by split."""
+    groups = {name: [name] for name in PORT_NAMES}
+    groups |= {"train ports": TRAIN_PORTS, "held-out ports": HELD_OUT_PORTS, "all": PORT_NAMES}
+    rows, strong = [], []
+    for group, ports in groups.items():
+        cells = []
+        for each in flights:
+            some = each.select(np.isin(np.array(PORT_NAMES)[each.port], ports))
+            numbers = rate(succeeded(some, 1.0))
+            pooled = percent(numbers) if group not in PORT_NAMES else ""
+            cells.append(pooled or (f"{numbers['count']}/{numbers['total']}" if numbers["total"] else "–"))
+        if all(cell == "–" for cell in cells):
+            continue
+        if group not in PORT_NAMES:
+            strong.append(len(rows))
+        rows.append([f"{group} (held out)" if group in HELD_OUT_PORTS else group, *cells])
+    caption = f"Flights within 1 m of the hold pose with no collision; {INTERVALS}."
+    return Table(["port", *(each.policy for each in flights)], rows, caption, strong)
+
+
+def definitions_table(flights: Sequence[Flights]) -> Table:
+    """All fourteen definitions of success, collision-voided and raw."""
+    rows = []
+    for full in (False, True):
+        for tolerance in TOLERANCES:
+            cells = []
+            for each in flights:
+                voided, raw = (
+                    percent(rate(succeeded(each, tolerance, full=full, voided=v)), False)
+                    for v in (True, False)
+                )
+                cells.append(voided if voided == raw else f"{voided} ({raw})")
+            rows.append([f"{tolerance:g} m, {'all bounds' if full else 'position only'}", *cells])
+    return Table(
+        ["definition", *(each.policy for each in flights)],
+        rows,
+        "Collision-voided rates over all ports; in parentheses the raw rate where it differs.",
+    )
+
+
+def failures(flights: Sequence[Flights]) -> Table:
+    """Every flight that did not come within 1 m without a collision."""
+    rows = []
+    for each in flights:
+        for i in np.flatnonzero(~succeeded(each, 1.0)):
+            rows.append(
+                [
+                    each.policy,
+                    PORT_NAMES[each.port[i]],
+                    str(each.seed[i]),
+                    str(each.outcome[i]) + (", after a collision" if each.collided[i] else ""),
+                    f"{each.closest_distance[i]:.2f}",
+                    f"{each.closest_speed[i]:.2f}",
+                    f"{np.degrees(each.closest_attitude[i]):.1f}",
+                    f"{each.clearance[i]:.2f}",
+                    f"{each.time[i]:.0f}",
+                ]
+            )
+    columns = [
+        "policy",
+        "port",
+        "seed",
+        "ended as",
+        "closest m",
+        "at m/s",
+        "at deg",
+        "least clearance m",
+        "after s",
+    ]
+    return Table(columns, rows, "Flights that collided or never came within 1 m.")
+
+
+def prediction_table(
+    errors: Sequence[PredictionError], seconds: Sequence[float] = (0.25, 1, 4, 8, 16)
+) -> Table:
+    """Mean position and attitude error of each model at some horizons."""
+    rows = []
+    for each in errors:
+        steps = [round(s / each.dt) for s in seconds]
+        cells = []
+        for step in steps:
+            if step in each.horizons:
+                at = each.horizons.index(step)
+                cells.append(f"{each.mean('position_m')[at]:.3f} / {each.mean('attitude_deg')[at]:.2f}")
+            else:
+                cells.append("–")
+        rows.append([each.name, *cells])
+    return Table(["position m / attitude deg at", *(f"{s:g} s" for s in seconds)], rows)
+
+
+def to_rich(table: Table, title: str = ""):
+    """The table for a terminal, as the rich library draws it."""
+    from rich import box
+    from rich.table import Table as Rich
+
+    drawn = Rich(title=title or None, box=box.SIMPLE_HEAD, title_justify="left", caption_justify="left")
+    for i, column in enumerate(table.columns):
+        drawn.add_column(column, justify="left" if i == 0 or table.words else "right", overflow="fold")
+    for i, row in enumerate(table.rows):
+        drawn.add_row(*row, style="bold" if i in table.strong else None)
+    return drawn
+
+
+def _number(value: float | None, pattern: str) -> str:
+    return "–" if value is None else pattern.format(value)

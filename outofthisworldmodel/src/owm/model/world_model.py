@@ -1,0 +1,130 @@
+"""The learned world model: tokens, backbone, flow head and a stream, behind the interface of `owm.model.interface`."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from owm.model.config import ModelConfig
+from owm.model.flow import FlowHead
+from owm.model.interface import History
+from owm.model.stream import STREAMS, Statistics
+from owm.model.transformer import Backbone, Memory, Perceptron
+
+
+class Network(eqx.Module):
+    """The trained weights: an encoder for the stream's tokens, one for the action, the backbone and the flow head."""
+
+    state_encoder: Perceptron
+    action_encoder: Perceptron
+    kind: Float[Array, "n+1 d"]
+    backbone: Backbone
+    head: FlowHead
+
+    def __init__(self, config: ModelConfig, *, key: Key[Array, ""], dtype: jnp.dtype = jnp.float32):
+        stream = STREAMS[config.stream]
+        k_state, k_action, k_kind, k_backbone, k_head = jax.random.split(key, 5)
+        self.state_encoder = Perceptron(stream.features, 2 * config.width, config.width, dtype, key=k_state)
+        self.action_encoder = Perceptron(6, 2 * config.width, config.width, dtype, key=k_action)
+        self.kind = 0.1 * jax.random.normal(k_kind, (stream.tokens + 1, config.width), dtype)
+        self.backbone = Backbone(config, dtype, key=k_backbone)
+        self.head = FlowHead(config, stream.residual, dtype, key=k_head)
+
+    def tokens(self, state: Float[Array, "*t n f"], action: Float[Array, "*t 6"]) -> Float[Array, "*t n+1 d"]:
+        """Return the token vector of a step: the stream's tokens, then the action's."""
+        return jnp.concatenate(
+            [self.state_encoder(state), self.action_encoder(action)[..., None, :]], axis=-2
+        ) + self.kind
+
+
+class Params(NamedTuple):
+    """Everything traced: what training changes and what it measured."""
+
+    network: Network
+    statistics: Statistics
+
+
+class ModelState(NamedTuple):
+    """Where a prediction stands: the stream's carry at the current step, and what attention remembers of earlier ones."""
+
+    carry: Any
+    memory: Memory
+
+
+@dataclass(frozen=True)
+class LearnedWorldModel:
+    """A world model for one configuration; two of equal configuration are equal, so one compiled planner serves both."""
+
+    config: ModelConfig
+    params: Params = field(compare=False, repr=False)
+    name: str = field(default="learned", compare=False)
+
+    @property
+    def history_length(self) -> int:
+        """`H`."""
+        return self.config.history_length
+
+    @property
+    def dt(self) -> float:
+        """Seconds a step."""
+        return self.config.dt
+
+    @property
+    def stream(self) -> Any:
+        """The functions that tie observations to tokens."""
+        return STREAMS[self.config.stream]
+
+    def encode(self, params: Params, history: History) -> ModelState:
+        """Turn a history into the state from which `step` predicts; computed in the dtype of the weights."""
+        history = _cast(params, history)
+        return self.encode_sequence(params, history)[0]
+
+    def encode_sequence(self, params: Params, history: History) -> tuple[ModelState, Any, Float[Array, "H-1 n d"]]:
+        """Encode, and also return the carries of all measurements and the backbone's output at all but the last."""
+        network, statistics = params
+        anchor = history.observation[0]
+        carries = jax.vmap(lambda view: self.stream.start(view, anchor))(history.observation)
+        past = jax.tree.map(lambda x: x[:-1], carries)
+        inputs = jax.vmap(lambda carry: self.stream.inputs(statistics, carry))(past)
+        actions = jax.vmap(lambda action: self.stream.action_inputs(statistics, action))(history.action)
+        outputs, memory = network.backbone.sequence(network.tokens(inputs, actions), history.valid[:-1])
+        return ModelState(jax.tree.map(lambda x: x[-1], carries), memory), carries, outputs[:, : self.stream.tokens]
+
+    def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, Memory]:
+        """Run the backbone on the current step under an action; return its output for the stream's tokens."""
+        network, statistics = params
+        tokens = network.tokens(
+            self.stream.inputs(statistics, state.carry), self.stream.action_inputs(statistics, action)
+        )
+        output, memory = network.backbone.step(tokens, state.memory)
+        return output[: self.stream.tokens], memory
+
+    def step(
+        self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
+    ) -> ModelState:
+        """Predict one step of `dt`; with a key the flow starts from noise (see `FlowHead` on what that spread is worth)."""
+        action = _cast(params, action)
+        output, memory = self.attend(params, action, state)
+        residual = params.network.head.sample(key, output, self.stream.residual)
+        return ModelState(self.stream.advance(params.statistics, state.carry, residual, action, self.dt), memory)
+
+    def observe(
+        self, params: Params, state: ModelState, action: Float[Array, "6"], observation: Float[Array, "13"]
+    ) -> ModelState:
+        """Advance by one executed action and the measurement that followed it, which becomes the new anchor."""
+        observation, action = _cast(params, (observation, action))
+        _, memory = self.attend(params, action, state)
+        return ModelState(self.stream.start(observation, observation), memory)
+
+    def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
+        """Read a state out as `{"state": view}` in the station frame."""
+        return self.stream.decode(state.carry)
+
+
+def _cast(params: Params, tree: Any) -> Any:
+    """Bring measurements to the dtype of the weights."""
+    dtype = params.network.kind.dtype
+    return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)

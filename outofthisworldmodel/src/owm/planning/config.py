@@ -1,0 +1,176 @@
+"""The planner's numbers: a frozen configuration, split into static and traced."""
+
+from typing import Annotated, Literal, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Array, Float
+from owm_envs.config import unknown
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PositiveFloat,
+    PositiveInt,
+    field_validator,
+    model_validator,
+)
+
+Objective = Literal["geodesic", "straight", "plain"]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Weights(NamedTuple):
+    """Weights and knees of the objective; every leaf is traced. Meanings and units as in `PlannerConfig`."""
+
+    position: Float[Array, ""]
+    position_knee: Float[Array, ""]
+    velocity: Float[Array, ""]
+    attitude: Float[Array, ""]
+    rate: Float[Array, ""]
+    effort: Float[Array, ""]
+    clearance: Float[Array, ""]
+    margin: Float[Array, ""]
+    collision: Float[Array, ""]
+    top_speed: Float[Array, ""]
+    braking: Float[Array, ""]
+    closing_time: Float[Array, ""]
+    crawl: Float[Array, ""]
+    crawl_per_clearance: Float[Array, ""]
+    top_rate: Float[Array, ""]
+    rate_braking: Float[Array, ""]
+    turning_time: Float[Array, ""]
+
+
+class Tuning(NamedTuple):
+    """Every number of the planner that may be swept without compiling again."""
+
+    weights: Weights
+    temperature: Float[Array, ""]
+    sigma: Float[Array, "6"]
+    """Noise of force and torque, fractions of the limits."""
+    sigma_near: Float[Array, ""]
+    sigma_distance: Float[Array, ""]
+    gain: Float[Array, ""]
+    drift_gain: Float[Array, ""]
+    limit: Float[Array, "6"]
+    """Force and torque limits, N and N m."""
+
+
+class Shape(NamedTuple):
+    """The static part: what the compiled program is shaped by."""
+
+    candidates: int
+    horizon: int
+    chunk: int
+    knots: int
+    objective: str
+
+
+class PlannerConfig(BaseModel):
+    """Model predictive path integral control as this package flies it.
+
+    Candidates, horizon, chunk and temperature are the paper's; the rest are the prototypes' choices, found on
+    all eight ports with an approximate hull and confirmed on the train ports with the real one.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    candidates: PositiveInt = 128
+    """K, action sequences a replan; the first is the warm start itself. Source: paper."""
+    horizon: PositiveInt = 64
+    """Model steps a candidate looks ahead. Source: paper."""
+    chunk: PositiveInt = 8
+    """Steps executed open-loop between replans. Source: paper."""
+    temperature: PositiveFloat = 0.3
+    """lambda of the softmax over candidates, in units of the cost. Source: paper."""
+    knots: Annotated[int, Field(ge=2)] = 9
+    """Independent draws along the horizon, joined linearly. Prototype: 4 to 17 make no difference."""
+    force_sigma: PositiveFloat = 0.20
+    """Noise, fraction of the force limit. Prototype: 0.5 with torque 0.3 never docks."""
+    torque_sigma: PositiveFloat = 0.05
+    """Noise, fraction of the torque limit. Prototype."""
+    sigma_near: PositiveFloat = 0.5
+    """Both are scaled by min(1, sigma_near + (1 - sigma_near) d / sigma_distance), d to the goal."""
+    sigma_distance: PositiveFloat = 10.0
+    """m. Prototype."""
+
+    objective: Objective = "geodesic"
+    """"geodesic": distance and speed profile along the geodesic field; "straight": the same along the
+    straight line; "plain": quadratic in all four errors to the goal, no profile."""
+    position: NonNegative = 0.9
+    """Weight of the (geodesic) distance, 1/m; 1/m2 when plain. Prototype, as all weights."""
+    position_knee: PositiveFloat = 0.1
+    """m; the distance is quadratic below it."""
+    velocity: NonNegative = 3.0
+    """Weight of the squared velocity error to the profile, s2/m2."""
+    attitude: NonNegative = 6.0
+    """Weight of the angle to the goal attitude, 1/rad; 1/rad2 when plain."""
+    rate: NonNegative = 900.0
+    """Weight of the squared rate error to the profile, s2/rad2."""
+    effort: NonNegative = 0.03
+    """Weight of the squared wrench in fractions of the limits."""
+    clearance: NonNegative = 30.0
+    """Weight of the squared shortfall of hull clearance below `margin`, 1/m2."""
+    margin: NonNegative = 1.0
+    """m, between bounding sphere and hull."""
+    collision: NonNegative = 1000.0
+    """Cost of touching the hull, times one plus the fraction of the horizon that remains; with 0 and
+    clearance 0 the planner is blind to the hull, as the paper's is."""
+    top_speed: PositiveFloat = 4.0
+    """m/s; the wanted speed is the least of this and the next three. Prototype, as all of the profile."""
+    braking: PositiveFloat = 0.08
+    """m/s2: sqrt(braking * distance), about two thirds of what the thrusters give (0.133 m/s2 an axis)."""
+    closing_time: PositiveFloat = 4.0
+    """s: distance / closing_time."""
+    crawl: PositiveFloat = 0.4
+    """m/s: crawl + crawl_per_clearance * clearance."""
+    crawl_per_clearance: NonNegative = 0.25
+    """1/s."""
+    top_rate: PositiveFloat = 0.05
+    """rad/s; the wanted rate is the least of this, sqrt(rate_braking * angle) and angle / turning_time."""
+    rate_braking: PositiveFloat = 0.02
+    """rad/s2."""
+    turning_time: PositiveFloat = 5.0
+    """s."""
+
+    corrector: bool = True
+    """Integrate what the model got wrong over the last chunk into additive accelerations and a drift."""
+    gain: Fraction = 0.4
+    """Share of a residual acceleration taken over at each replan. Prototype: 0.3 to 0.6 work."""
+    drift_gain: Fraction = 0.12
+    """Share of a residual drift of position taken over at each replan. Prototype: 0.3 of `gain`."""
+
+    @field_validator("objective", mode="before")
+    @classmethod
+    def _known_objective(cls, value):
+        if value not in get_args(Objective):
+            raise ValueError(unknown("objective", value, get_args(Objective)))
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "PlannerConfig":
+        if self.chunk > self.horizon:
+            raise ValueError(f"chunk must not exceed horizon={self.horizon}, got {self.chunk}")
+        if self.knots > self.horizon:
+            raise ValueError(f"knots must not exceed horizon={self.horizon}, got {self.knots}")
+        return self
+
+    @property
+    def shape(self) -> Shape:
+        """The static part."""
+        return Shape(**{name: getattr(self, name) for name in Shape._fields})
+
+    def tuning(self, wrench_limit: tuple[float, ...], dtype: str = "float32") -> Tuning:
+        """The traced part, for a vehicle's force and torque limits (6,) [N, N m]."""
+        real = np.dtype(dtype).type
+        return Tuning(
+            weights=Weights(**{name: real(getattr(self, name)) for name in Weights._fields}),
+            temperature=real(self.temperature),
+            sigma=np.asarray([self.force_sigma] * 3 + [self.torque_sigma] * 3, real),
+            sigma_near=real(self.sigma_near),
+            sigma_distance=real(self.sigma_distance),
+            gain=real(self.gain if self.corrector else 0),
+            drift_gain=real(self.drift_gain if self.corrector else 0),
+            limit=np.asarray(wrench_limit, real),
+        )

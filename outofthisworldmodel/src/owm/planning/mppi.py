@@ -1,0 +1,135 @@
+"""Model predictive path integral control over any world model, as one pure function of one episode.
+
+Source: Williams, Aldrich and Theodorou (2017), Model predictive path integral control: from theory to
+parallel computation, J. Guidance, Control, and Dynamics 40(2); candidates, horizon, temperature and chunked
+execution as in the paper that this package follows.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree
+from owm_envs.geodesic import GeodesicField, clearance
+
+from owm.model.interface import History, WorldModel
+from owm.planning.config import Shape, Tuning
+from owm.planning.corrector import Correction, apply, no_correction, update
+from owm.planning.objective import sequence_cost
+
+
+class PlannerState(NamedTuple):
+    """What one episode carries from replan to replan."""
+
+    plan: Float[Array, "T 6"]
+    """Warm start in fractions of the wrench limits, its first step the next to be executed."""
+    expected: Float[Array, "13"]
+    """The view predicted for the next replan (its quaternion an average, not of unit length)."""
+    started: Bool[Array, ""]
+    """Whether `expected` means anything: not before the first replan nor after a prediction gone astray."""
+    correction: Correction
+
+
+def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
+    """The state of an episode that has not been planned for."""
+    return PlannerState(
+        plan=jnp.zeros((shape.horizon, 6), dtype),
+        expected=jnp.zeros(13, dtype),
+        started=jnp.zeros((), bool),
+        correction=no_correction(dtype),
+    )
+
+
+def interpolation(horizon: int, knots: int) -> Float[np.ndarray, "T N"]:
+    """Linear interpolation from knots to steps, rows of unit norm: unit noise at knots stays unit noise."""
+    place = np.linspace(0.0, knots - 1.0, horizon)[:, None]
+    hat = np.maximum(0.0, 1.0 - np.abs(place - np.arange(knots)))
+    return hat / np.linalg.norm(hat, axis=1, keepdims=True)
+
+
+def sample_candidates(
+    shape: Shape, sigma: Float[Array, "6"], plan: Float[Array, "T 6"], *, key: Key[Array, ""]
+) -> Float[Array, "K T 6"]:
+    """Draw candidates around a plan: smooth noise of deviation `sigma`, clipped; the first has none."""
+    dtype = plan.dtype
+    draws = jax.random.normal(key, (shape.candidates - 1, shape.knots, 6), dtype)
+    weights = jnp.asarray(interpolation(shape.horizon, shape.knots), dtype)
+    noise = sigma * jnp.einsum("tn,kni->kti", weights, draws)
+    return jnp.clip(jnp.concatenate([plan[None], plan + noise]), -1, 1)
+
+
+def rollout(
+    model: WorldModel, params: PyTree, state: Any, wrenches: Float[Array, "T 6"]
+) -> Float[Array, "T 13"]:
+    """Decode the views that a model predicts after each of a sequence of held wrenches [N, N m]."""
+
+    def advance(state, wrench):
+        state = model.step(params, None, wrench, state)
+        return state, model.decode(params, state)["state"].astype(wrench.dtype)
+
+    return jax.lax.scan(advance, state, wrenches)[1]
+
+
+def plan(
+    model: WorldModel,
+    shape: Shape,
+    params: PyTree,
+    tuning: Tuning,
+    field: GeodesicField,
+    port: Int[Array, ""],
+    goal: Float[Array, "7"],
+    history: History,
+    state: PlannerState,
+    key: Key[Array, ""],
+) -> tuple[Float[Array, "C 6"], PlannerState]:
+    """Replan one episode.
+
+    Everything but the model itself is computed in the dtype of the plan.
+
+    Args:
+        model, shape: static.
+        params: of the model.
+        tuning: the planner's traced numbers.
+        field: geodesic field and hull clearance; port: its row.
+        goal: hold pose: m, quaternion body to station.
+        history: measurements up to now.
+        state: of this episode.
+        key: of this replan.
+
+    Returns:
+        The wrenches [N, N m] to execute until the next replan, `model.dt` each, and the next state.
+    """
+    dtype = state.plan.dtype
+    measured = history.observation[-1].astype(dtype)
+    goal = goal.astype(dtype)
+    duration = shape.chunk * model.dt
+    learned = update(state.correction, state.expected, measured, duration, tuning.gain, tuning.drift_gain)
+    correction = jax.tree.map(lambda new, old: jnp.where(state.started, new, old), learned, state.correction)
+
+    distance = jnp.sqrt(jnp.sum((measured[:3] - goal[:3]) ** 2))
+    nearness = jnp.minimum(1, tuning.sigma_near + (1 - tuning.sigma_near) * distance / tuning.sigma_distance)
+    candidates = sample_candidates(shape, nearness * tuning.sigma, state.plan, key=key)
+
+    # The rollout is vmapped whole, not its step: what no action moves (the context, the station) is computed
+    # once.
+    start = model.encode(params, history)
+    views = jax.vmap(lambda actions: rollout(model, params, start, actions * tuning.limit))(candidates)
+    elapsed = model.dt * jnp.arange(1, shape.horizon + 1, dtype=dtype)
+    views = jax.vmap(jax.vmap(apply, (None, 0, 0)), (None, 0, None))(correction, views, elapsed)
+    clear = clearance(field, measured[:3]) >= 0
+    costs = jax.vmap(
+        lambda v, u: sequence_cost(shape.objective, tuning.weights, field, port, goal, clear, v, u)
+    )(views, candidates)
+    # A candidate whose prediction is not finite can never be chosen.
+    costs = jnp.where(jnp.isfinite(costs), costs, jnp.finfo(dtype).max)
+    weights = jax.nn.softmax((jnp.min(costs) - costs) / tuning.temperature)
+    best = jnp.einsum("k,kti->ti", weights, candidates)
+
+    wrenches = best[: shape.chunk] * tuning.limit
+    following = jnp.concatenate([best[shape.chunk :], jnp.zeros((shape.chunk, 6), dtype)])
+    # What the model expects of the executed wrenches: over one chunk the views are linear in the actions to
+    # well below the sensors' noise, so they may be averaged like them, which saves another rollout and its
+    # compilation.
+    expected = jnp.einsum("k,ki->i", weights, views[:, shape.chunk - 1])
+    return wrenches, PlannerState(following, expected, jnp.all(jnp.isfinite(expected)), correction)

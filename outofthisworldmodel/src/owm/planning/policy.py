@@ -1,0 +1,269 @@
+"""The planner as a policy that flies the vector environment: the one stateful shell around `plan`."""
+
+import time
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from owm_envs.config import DockingConfig
+from owm_envs.env import DockingEnv
+from owm_envs.geodesic import GeodesicField
+from owm_envs.station import PORT_NAMES, goal_poses
+
+from owm.model.interface import History, WorldModel
+from owm.planning.config import PlannerConfig
+from owm.planning.mppi import PlannerState, init_planner, plan
+
+
+class SlotStates(NamedTuple):
+    """What every slot carries from decision to decision; NumPy arrays, never changed in place."""
+
+    observation: Float[np.ndarray, "B H 13"]
+    action: Float[np.ndarray, "B H-1 6"]
+    valid: Bool[np.ndarray, "B H"]
+    chunk: Float[np.ndarray, "B C 6"]
+    """Wrenches [N, N m] of the last replan."""
+    index: Int[np.ndarray, "B"]
+    """The next of them to execute; at the chunk's end the slot replans."""
+    replans: Int[np.ndarray, "B"]
+    """Replans in this episode."""
+    planner: PlannerState
+
+
+class PlannerPolicy:
+    """Fly a batch of slots by replanning with a world model.
+
+    It sees observations and ports, never `info`. Each slot keeps its own history, plan, correction and place
+    in its chunk, all cleared when its episode begins; only slots that are due replan, one after the other
+    through one compiled program, whose work does not depend on how many slots there are.
+
+    Args:
+        model: a world model; its `precision`, "float32" unless it says otherwise, decides in which mode it
+            runs.
+        field: geodesic field that covers the ports to be flown, from `owm_envs.geodesic.load_field`.
+        env: the environment to be flown, or its configuration: layout, wrench limits, decision rate.
+        config: the planner's.
+        num_slots: episodes flown side by side.
+        seed: decides every draw; each slot has keys of its own, the same ones in every episode.
+
+    Attributes:
+        active: (num_slots,) set to False where an episode has ended: such a slot is skipped and gets zero
+            actions until its next reset.
+        seconds: wall time of each replan so far, the first one's compilation included.
+
+    Raises:
+        ValueError: the environment's decision rate is not the model's.
+    """
+
+    def __init__(
+        self,
+        model: WorldModel,
+        field: GeodesicField,
+        env: DockingEnv | DockingConfig,
+        config: PlannerConfig | None = None,
+        num_slots: int = 1,
+        seed: int = 0,
+    ):
+        env = env if isinstance(env, DockingEnv) else DockingEnv(env)
+        if not np.isclose(env.config.decision_dt, model.dt):
+            raise ValueError(
+                f"the environment must take one action every {model.dt} s, the step of the model "
+                f"{model.name!r}; got decision_dt = {env.config.decision_dt} s: "
+                f"set steps_per_action={round(model.dt / env.config.dt)}"
+            )
+        if num_slots < 1:
+            raise ValueError(f"num_slots must be at least 1, got {num_slots}")
+        self.model = model
+        self.config = PlannerConfig() if config is None else config
+        self.layout = env.layout
+        self.num_slots = num_slots
+        self.name = f"mppi, {model.name}"
+        self.active = np.ones(num_slots, bool)
+        self.seconds: list[float] = []
+        self._seed = np.uint32(seed)
+        self._wide = getattr(model, "precision", "float32") == "float64"
+        self._tuning = self.config.tuning(env.layout.wrench_limit)
+        self._goals = goal_poses().astype(np.float32)
+        self._rows = field_rows(field)
+        self._field = jax.device_put(field)
+        self._ports: np.ndarray | None = None
+        self._pending = np.ones(num_slots, bool)
+        self._fresh = self._initial()
+        self._state = self._fresh
+
+    def _initial(self) -> SlotStates:
+        """Every slot before its first measurement; its chunk is used up."""
+        slots, history, shape = self.num_slots, self.model.history_length, self.config.shape
+        planner = jax.device_get(init_planner(shape))
+        return SlotStates(
+            observation=np.zeros((slots, history, 13), np.float32),
+            action=np.zeros((slots, history - 1, 6), np.float32),
+            valid=np.zeros((slots, history), bool),
+            chunk=np.zeros((slots, shape.chunk, 6), np.float32),
+            index=np.full(slots, shape.chunk, np.int32),
+            replans=np.zeros(slots, np.uint32),
+            planner=jax.tree.map(lambda x: np.repeat(x[None], slots, axis=0), planner),
+        )
+
+    def reset(
+        self, mask: Bool[np.ndarray, "B"] | None = None, ports: Int[np.ndarray, "B"] | None = None
+    ) -> None:
+        """Announce new episodes: their slots forget everything and start afresh at the next `predict`.
+
+        Args:
+            mask: slots whose episode begins; all when None.
+            ports: assigned port index of every slot (read where `mask` is True); the ones known so far when
+                None.
+
+        Raises:
+            ValueError: a shape is not (num_slots,), a port is out of range or not in the field, or no ports
+                were ever given.
+        """
+        expected = (self.num_slots,)
+        mask = np.ones(expected, bool) if mask is None else np.atleast_1d(np.asarray(mask, bool))
+        if mask.shape != expected:
+            raise ValueError(f"mask must have shape {expected}, got {mask.shape}")
+        if ports is not None:
+            ports = np.atleast_1d(np.asarray(ports))
+            if ports.shape != expected:
+                raise ValueError(f"ports must have shape {expected}, got {ports.shape}")
+            wanted = ports[mask]
+            if not np.isin(wanted, np.arange(len(PORT_NAMES))).all():
+                raise ValueError(
+                    f"ports must be indices from 0 to {len(PORT_NAMES) - 1}, got {wanted.tolist()}"
+                )
+            missing = {PORT_NAMES[port] for port in wanted if self._rows[port] < 0}
+            if missing:
+                raise ValueError(
+                    f"the geodesic field does not cover {', '.join(sorted(missing))}: load it for them"
+                )
+            known = np.zeros(expected, np.int32) if self._ports is None else self._ports
+            if self._ports is None and not mask.all():
+                raise ValueError("the first reset must start every slot")
+            self._ports = np.where(mask, ports, known).astype(np.int32)
+        elif self._ports is None:
+            raise ValueError("ports must be given on the first reset: one port index for each slot")
+        self._pending = self._pending | mask
+        self.active = self.active | mask
+
+    def predict(
+        self,
+        observation: Float[np.ndarray, "B O"],
+        state: SlotStates | None = None,
+        episode_start: Bool[np.ndarray, "B"] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Float[np.ndarray, "B 6"], SlotStates]:
+        """Actions for a batch of observations, as Stable-Baselines3 policies give them.
+
+        Args:
+            observation: (B, O), or (O,) for a single slot.
+            state: what the last call returned; the state kept inside when None.
+            episode_start: slots whose episode begins with this observation, at the port last announced.
+            deterministic: has no effect: the planner's draws follow from its seed, and it plans with the
+                model's deterministic prediction.
+
+        Returns:
+            float32 actions (B, 6), or (6,) for a single slot, in the environment's layout, and the state.
+
+        Raises:
+            ValueError: `reset` never told the ports, the shape is wrong, or an active slot's view is not
+            finite.
+        """
+        del deterministic
+        if self._ports is None:
+            raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
+        observation = np.asarray(observation, np.float32)
+        single = observation.ndim == 1
+        batch = observation[None] if single else observation
+        expected = (self.num_slots, self.layout.size)
+        if batch.shape != expected:
+            raise ValueError(f"observation must have shape {expected}, got {observation.shape}")
+        if episode_start is not None:
+            self.reset(np.broadcast_to(np.asarray(episode_start, bool), (self.num_slots,)))
+        view = self.layout.measured_view(batch).astype(np.float32)
+        broken = self.active & ~np.isfinite(view).all(axis=1)
+        if broken.any():
+            raise ValueError(f"observation is not finite in slots {np.flatnonzero(broken).tolist()}")
+
+        state = self._remember(self._state if state is None else state, view)
+        due = np.flatnonzero((state.index >= self.config.chunk) & self.active)
+        if due.size:
+            state = self._replan(state, due)
+        slots = np.arange(self.num_slots)
+        wrench = state.chunk[slots, np.minimum(state.index, self.config.chunk - 1)]
+        action = self.layout.action(np.where(self.active[:, None], wrench, np.float32(0))).astype(np.float32)
+        self._state = state._replace(index=state.index + self.active)
+        return (action[0] if single else action), self._state
+
+    def _remember(self, state: SlotStates, view: Float[np.ndarray, "B 13"]) -> SlotStates:
+        """Append a measurement and the wrench that led to it; begin anew in the slots that are due to."""
+        fresh, self._pending = self._pending, np.zeros_like(self._pending)
+
+        def choose(new, old):
+            return np.where(fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+        flip = np.sum(view[:, 6:10] * state.observation[:, -1, 6:10], axis=1) < 0
+        continuous = view.copy()
+        continuous[:, 6:10] *= np.where(flip, np.float32(-1), np.float32(1))[:, None]
+        executed = state.chunk[np.arange(self.num_slots), state.index - 1]
+        longer = state._replace(
+            observation=np.concatenate([state.observation, continuous[:, None]], axis=1)[:, 1:],
+            action=np.concatenate([state.action, executed[:, None]], axis=1)[:, 1:],
+            valid=np.concatenate([state.valid, np.ones((self.num_slots, 1), bool)], axis=1)[:, 1:],
+        )
+        begun = self._fresh._replace(
+            observation=np.broadcast_to(view[:, None], state.observation.shape),
+            valid=np.arange(state.valid.shape[1]) == np.full((self.num_slots, 1), state.valid.shape[1] - 1),
+        )
+        return jax.tree.map(choose, begun, longer)
+
+    def _replan(self, state: SlotStates, due: Int[np.ndarray, "D"]) -> SlotStates:
+        """Replan the slots that are due."""
+        began = time.perf_counter()
+        with jax.enable_x64(self._wide):
+            outputs = [
+                replan_slot(
+                    self.model,
+                    self.config.shape,
+                    self.model.params,
+                    self._tuning,
+                    self._field,
+                    np.int32(self._rows[self._ports[slot]]),
+                    self._goals[self._ports[slot]],
+                    History(state.observation[slot], state.action[slot], state.valid[slot]),
+                    jax.tree.map(lambda x, slot=slot: x[slot], state.planner),
+                    self._seed,
+                    np.uint32(slot),
+                    state.replans[slot],
+                )
+                for slot in due
+            ]
+            wrenches, planners = jax.tree.map(lambda *rows: np.stack(rows), *jax.device_get(outputs))
+        self.seconds.extend([(time.perf_counter() - began) / due.size] * due.size)
+
+        def put(old, new):
+            old = old.copy()
+            old[due] = new
+            return old
+
+        return state._replace(
+            chunk=put(state.chunk, wrenches),
+            index=put(state.index, 0),
+            replans=put(state.replans, state.replans[due] + 1),
+            planner=jax.tree.map(put, state.planner, planners),
+        )
+
+
+def field_rows(field: GeodesicField) -> Int[np.ndarray, "8"]:
+    """The row of a field that belongs to each port of the station, -1 where it has none."""
+    gaps = np.linalg.norm(goal_poses()[:, None, :3] - np.asarray(field.goals)[None], axis=-1)
+    return np.where(gaps.min(axis=1) < 1e-3, gaps.argmin(axis=1), -1)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def replan_slot(model, shape, params, tuning, field, port, goal, history, planner, seed, slot, count):
+    """One slot's replan, compiled once per model and shape; its key follows from seed, slot and count."""
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), slot), count)
+    return plan(model, shape, params, tuning, field, port, goal, history, planner, key)

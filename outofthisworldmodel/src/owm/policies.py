@@ -1,0 +1,142 @@
+"""Every policy by the name that commands and reports use, and what each of them is given."""
+
+import difflib
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from owm_envs.config import DockingConfig
+
+
+class Given(NamedTuple):
+    """What a policy knows beside observation, port, hold pose and the thrusters' limits."""
+
+    hull: str
+    motion: str
+    mass: str
+    noise: str
+    images: str
+    data: str
+
+
+GIVEN_COLUMNS = (
+    "hull map",
+    "equations of motion",
+    "mass and inertia",
+    "noise model",
+    "images",
+    "learned from",
+)
+_MAP = "yes: geodesic field and clearance"
+GIVEN: dict[str, Given] = {
+    "world model": Given(
+        _MAP, "kinematics of a rigid body; accelerations learned", "no", "no", "no", "corpus"
+    ),
+    "least-squares": Given(
+        _MAP, "kinematics of a rigid body; accelerations fitted", "no", "no", "no", "corpus"
+    ),
+    "oracle-mppi": Given(
+        _MAP, "the simulator's own, started from the measurement", "yes", "no", "no", "nothing"
+    ),
+    "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "nothing"),
+    "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "nothing"),
+    "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "nothing"),
+    "excite": Given("no", "no", "yes", "no", "no", "nothing"),
+    "random": Given("no", "no", "no", "no", "no", "nothing"),
+}
+"""Keyed by `kind_of` a policy."""
+SCRIPTED = ("dock", "dock-geodesic", "random", "orbit", "excite")
+NAMES = (*SCRIPTED, "oracle-mppi")
+"""What `load_policy` knows beside paths."""
+_KINDS = {"learned": "world model", "least_squares": "least-squares"}
+
+
+def kind_of(policy: str) -> str:
+    """The key of `GIVEN` that a name or path belongs to.
+
+    Raises:
+        ValueError: neither a known name (naming the nearest) nor the checkpoint of a model to plan with.
+        FileNotFoundError: a path at which there is nothing.
+    """
+    if policy in NAMES:
+        return policy
+    if policy == "least-squares":
+        raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
+    if os.path.exists(policy):
+        header = _checkpoint(policy) / "config.json"
+        try:
+            kind = json.loads(header.read_text(encoding="utf-8"))["kind"]
+        except (OSError, ValueError, KeyError, TypeError):
+            raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
+        if kind not in _KINDS:
+            raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
+        return _KINDS[kind]
+    if any(mark in policy for mark in (os.sep, "/", ".")):
+        raise FileNotFoundError(f"there is no checkpoint at {policy!r}")
+    near = difflib.get_close_matches(policy, (*NAMES, "least-squares"), n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    raise ValueError(
+        f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint"
+    )
+
+
+def _checkpoint(path: str) -> Path:
+    """The model's folder: the one named, or `model` in the folder of a training run."""
+    folder = Path(path)
+    return folder / "model" if (folder / "model" / "config.json").is_file() else folder
+
+
+def load_policy(
+    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None
+) -> Any:
+    """Build a policy for a batch of slots.
+
+    Args:
+        policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
+            to fly.
+        config: the environment to fly.
+        num_slots: flights side by side.
+        seed: decides the policy's own draws.
+        planner: a `PlannerConfig` for planned policies; the standard one when None.
+
+    Returns:
+        A policy as `owm.evaluation.docking.Policy` describes it, with a `name`.
+
+    Raises:
+        ValueError: the name is unknown, the checkpoint damaged, or the decision rate not the model's.
+        FileNotFoundError: there is nothing at the path.
+    """
+    kind = kind_of(policy)
+    from owm_envs.env import DockingEnv
+    from owm_envs.policies import VectorPolicy, make_policy
+
+    env = DockingEnv(config)
+    if kind in SCRIPTED:
+        return VectorPolicy(make_policy(kind, env), seed=seed)
+    from owm_envs.geodesic import load_field
+
+    from owm.planning.policy import PlannerPolicy
+
+    made = PlannerPolicy(load_model(policy, config), load_field(), env, planner, num_slots, seed)
+    made.name = kind if kind == policy else f"{kind} {policy}"
+    return made
+
+
+def load_model(policy: str, config: DockingConfig) -> Any:
+    """The world model behind "oracle-mppi" or a checkpoint.
+
+    Raises:
+        ValueError: the name is unknown or has no world model, or the checkpoint is damaged.
+        FileNotFoundError: there is nothing at the path.
+    """
+    kind = kind_of(policy)
+    if kind == "oracle-mppi":
+        from owm.baselines.exact import ExactDynamics
+
+        return ExactDynamics(config.fidelity, config)
+    if kind in _KINDS.values():
+        from owm.model.checkpoint import load_world_model
+
+        return load_world_model(_checkpoint(policy))
+    raise ValueError(f"policy {policy!r} has no world model")

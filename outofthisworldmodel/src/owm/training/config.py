@@ -1,0 +1,88 @@
+"""How a world model is trained: a frozen, validated configuration and its presets."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+
+from owm.model.config import PRESETS as MODELS
+from owm.model.config import ModelConfig
+
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class TrainConfig(BaseModel):
+    """Everything a run depends on beside its data; equal configuration and data give equal weights on one machine."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    model: ModelConfig = ModelConfig()
+    """The network to train."""
+    steps: PositiveInt = 6000
+    """Optimisation steps."""
+    batch: PositiveInt = 32
+    """Windows a step."""
+    learning_rate: PositiveFloat = 1e-3
+    """Peak of AdamW's rate; it rises linearly over `warmup` steps, then falls along a cosine to a hundredth."""
+    warmup: PositiveInt = 300
+    """Steps of linear warm-up."""
+    weight_decay: NonNegativeFloat = 1e-4
+    """AdamW's decay."""
+    clip: PositiveFloat = 1.0
+    """Largest gradient norm."""
+    teacher: Fraction = 0.25
+    """Fraction of the run over which the probability of continuing from the measurement falls from one to zero."""
+    rollouts: tuple[tuple[Fraction, PositiveInt], ...] = ((0.5, 16), (1.0, 32))
+    """Rollout lengths `F`, each up to a fraction of the run; a jump by more than a factor of two destabilises."""
+    flow_weight: NonNegativeFloat = 1.0
+    """Weight of the flow loss."""
+    decode_weight: NonNegativeFloat = 1.0
+    """Weight of the decode loss."""
+    chunk: PositiveInt = 50
+    """Steps a compiled call makes, between which progress is reported."""
+    save_every: PositiveInt = 500
+    """Steps between saves and validations, a multiple of `chunk`."""
+    validation_windows: PositiveInt = 256
+    """Fixed windows that choose the best weights."""
+    validation_horizon: PositiveInt = 64
+    """Steps of every validation rollout."""
+    seed: int = 0
+    """Of weights, batches, noise and the choice of validation windows."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "TrainConfig":
+        if self.save_every % self.chunk:
+            raise ValueError(f"save_every must be a multiple of chunk={self.chunk}, got {self.save_every}")
+        if self.steps % self.chunk:
+            raise ValueError(f"steps must be a multiple of chunk={self.chunk}, got {self.steps}")
+        ends = [end for end, _ in self.rollouts]
+        if not ends or ends != sorted(ends) or ends[-1] != 1.0:
+            raise ValueError(f"rollouts must be pairs of rising fractions ending at 1.0, got {self.rollouts}")
+        return self
+
+    def rollout_at(self, step: int) -> int:
+        """Return the rollout length `F` of a step."""
+        return next(length for end, length in self.rollouts if step < end * self.steps or end == 1.0)
+
+
+PRESETS: dict[str, TrainConfig] = {
+    "ci": TrainConfig(
+        steps=400, warmup=50, rollouts=((1.0, 16),), save_every=200, chunk=50, validation_windows=128
+    ),
+    "nano": TrainConfig(),
+    "small": TrainConfig(model=MODELS["small"], steps=20_000, rollouts=((0.4, 16), (0.8, 32), (1.0, 64))),
+    "paper": TrainConfig(
+        model=MODELS["paper"], steps=200_000, batch=256, rollouts=((0.3, 16), (0.6, 32), (1.0, 64)), save_every=5000
+    ),
+}
+"""`ci`: about half a minute on two cores; `nano`: minutes; `small`: an hour; `paper`: an accelerator (not measured)."""
+
+
+def preset(name: str) -> TrainConfig:
+    """Return a named configuration.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"unknown training preset {name!r}, expected one of {', '.join(PRESETS)}")
+    return PRESETS[name]

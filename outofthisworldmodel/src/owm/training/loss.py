@@ -1,0 +1,94 @@
+"""The training objective on one window."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from owm.data import history_of
+from owm.model.world_model import LearnedWorldModel, ModelState, Params
+
+
+class Losses(NamedTuple):
+    """The terms of the objective, unweighted.
+
+    Attributes:
+        flow: mean square error of the clean unit-variance residual at random noise levels.
+        decode: mean decode loss of the rolled-out predictions over all depths, in the stream's loss units.
+    """
+
+    flow: Float[Array, ""]
+    decode: Float[Array, ""]
+
+
+class Draws(NamedTuple):
+    """The random numbers of one window.
+
+    Attributes:
+        level: noise levels of the flow loss, uniform on [0, 1].
+        noise: its noise, standard normal.
+        coin: uniform on [0, 1]; a step whose coin is below the teacher probability continues from the measurement.
+    """
+
+    level: Float[Array, "L-1"]
+    noise: Float[Array, "L-1 n r"]
+    coin: Float[Array, "F"]
+
+
+def draw(key: Key[Array, ""], batch: int, steps: int, depth: int, stream: Any, dtype: jnp.dtype) -> Draws:
+    """Draw for a whole batch at once, which compiles to far less than drawing inside the rollout."""
+    k_level, k_noise, k_coin = jax.random.split(key, 3)
+    return Draws(
+        jax.random.uniform(k_level, (batch, steps), dtype),
+        jax.random.normal(k_noise, (batch, steps, stream.tokens, stream.residual), dtype),
+        jax.random.uniform(k_coin, (batch, depth), dtype),
+    )
+
+
+def window_losses(
+    model: LearnedWorldModel,
+    params: Params,
+    observation: Float[Array, "L 13"],
+    action: Float[Array, "L-1 6"],
+    context: Int[Array, ""] | int,
+    teacher: Float[Array, ""] | float,
+    draws: Draws,
+) -> Losses:
+    """Roll a window out on the model's own predictions and compare every depth with the measurements.
+
+    Args:
+        model: gives configuration and stream.
+        params: weights and statistics.
+        observation: measured views, of which the first `H` are the history, `F` more follow.
+        action: between the views.
+        context: how many of the `H` measurements the model may see.
+        teacher: probability, at every step by itself, of continuing from the measurement instead of the prediction.
+        draws: this window's random numbers.
+    """
+    network, statistics = params
+    stream, dt, length = model.stream, model.dt, model.history_length
+    history = history_of(observation, action, length, context)
+    state, _, past = model.encode_sequence(params, history)
+    measured = jax.vmap(lambda view: stream.start(view, history.observation[0]))(observation)
+    before, after = jax.tree.map(lambda x: x[:-1], measured), jax.tree.map(lambda x: x[1:], measured)
+    target = jax.vmap(lambda b, a, u: stream.target(statistics, b, a, u, dt))(before, after, action)
+
+    def advance(state: ModelState, step: tuple) -> tuple[ModelState, tuple[Array, Array]]:
+        coin, action, before, after = step
+        carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
+        output, memory = model.attend(params, action, ModelState(carry, state.memory))
+        residual = network.head.sample(None, output, stream.residual)
+        carry = stream.advance(statistics, carry, residual, action, dt)
+        return ModelState(carry, memory), (output, stream.decode_loss(carry, after))
+
+    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, after))
+    _, (ahead, decode) = jax.lax.scan(advance, state, (draws.coin, *rolled))
+
+    # The history predicts too, so its steps count; those before the first real measurement do not.
+    output = jnp.concatenate([past, ahead])
+    counts = jnp.concatenate([history.valid[:-1], jnp.ones(len(draws.coin), bool)])
+    tau = draws.level[:, None, None]
+    noised = (1.0 - tau) * target + tau * draws.noise
+    error = jnp.mean((jax.vmap(network.head)(noised, draws.level, output) - target) ** 2, axis=(1, 2))
+    return Losses(jnp.sum(jnp.where(counts, error, 0.0)) / jnp.sum(counts), jnp.mean(decode))

@@ -1,0 +1,18 @@
+"""Shared fixtures: recorded episodes of the synthetic simulator."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+# Tests are imported by path, not from a package, so their common helper has to be made findable.
+sys.path.insert(0, str(Path(__file__).parent))
+
+import synthetic  # noqa: E402
+from owm.data import Episodes, from_episodes  # noqa: E402
+
+
+@pytest.fixture(scope="session")
+def episodes() -> Episodes:
+    """Eight minutes of all behaviours at the model's rate."""
+    return from_episodes(synthetic.episodes(3, 8, 60.0))
