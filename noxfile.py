@@ -17,7 +17,6 @@ if sys.version_info < (3, 11):  # noqa: UP036 (nox itself may well have been ins
     )
 
 nox.needs_version = ">=2024.4.15"
-nox.options.default_venv_backend = "virtualenv"
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["lint", "tests"]
 

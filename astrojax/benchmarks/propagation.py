@@ -79,19 +79,13 @@ def brahe_run(states: np.ndarray, steps: int, dt: float) -> tuple[float, np.ndar
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--batch", type=int, default=1024, help="orbits in our program")
-    parser.add_argument(
-        "--peers", type=int, default=64, help="orbits that brahe flies (the first of the same batch)"
-    )
+    parser.add_argument("--peers", type=int, default=64, help="orbits that brahe flies (the first of the same batch)")
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("--dt", type=float, default=10.0, help="step [s]")
     parser.add_argument("--repeat", type=int, default=3, help="best of this many runs")
-    parser.add_argument(
-        "--output", type=Path, default=Path("propagation.json"), help="JSON of the same figures"
-    )
+    parser.add_argument("--output", type=Path, default=Path("propagation.json"), help="JSON of the same figures")
     options = parser.parse_args()
 
     brahe.set_global_eop_provider_from_static_provider(brahe.StaticEOPProvider.from_zero())
@@ -102,9 +96,7 @@ def main() -> None:
         runs = [brahe_run(states[: options.peers], options.steps, options.dt) for _ in range(options.repeat)]
         reference = runs[0][1]
         peer_rate = options.peers * options.steps / min(seconds for seconds, _ in runs)
-        rows.append(
-            {"program": f"brahe {brahe.__version__} float64", "batch": options.peers, "rate": peer_rate}
-        )
+        rows.append({"program": f"brahe {brahe.__version__} float64", "batch": options.peers, "rate": peer_rate})
         for dtype in ("float64", "float32"):
             for batch in (1, options.batch):
                 start = jnp.asarray(states[:batch], dtype)

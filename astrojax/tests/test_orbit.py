@@ -58,11 +58,11 @@ def test_kepler_equation_closes(x64):
     assert np.max(np.abs(turns - np.round(turns))) < 1e-15 * 10
 
 
-def test_kepler_second_derivative(x64):
+def test_kepler_second_derivative(quick, x64):
     """d2E/dM2 = -e sin E / (1 - e cos E)^3: the implicit rule holds beyond first order."""
     m, e = 0.7, 0.4
     ecc = float(elements.solve_kepler(m, e))
-    second = jax.grad(jax.grad(elements.solve_kepler))(m, e)
+    second = quick(jax.grad(jax.grad(elements.solve_kepler)))(m, e)
     assert float(second) == pytest.approx(-e * np.sin(ecc) / (1 - e * np.cos(ecc)) ** 3, rel=1e-12)
 
 
@@ -81,22 +81,16 @@ def test_elements_against_brahe(rng, x64):
     assert np.abs(error[sets[:, 1] > 0.01]).max() < 1e-10
 
 
-@pytest.mark.parametrize(
-    "special",
-    [
-        [7e6, 0.0, 0.9, 1.0, 0.0, 2.0],  # circular
-        [7e6, 0.1, 0.0, 0.0, 1.0, 2.0],  # equatorial
-        [7e6, 0.0, 0.0, 0.0, 0.0, 2.0],  # both
-        [7e6, 0.1, np.pi / 2, 1.0, 0.5, 2.0],  # polar
-    ],
-    ids=["circular", "equatorial", "circular-equatorial", "polar"],
-)
-def test_degenerate_orbits_round_trip(special, x64):
+def test_degenerate_orbits_round_trip(quick, x64):
     """State recovered within 10 um and gradients finite where node or perigee is undefined."""
-    state = elements.keplerian_to_cartesian(jnp.asarray(special))
-    back = elements.cartesian_to_keplerian(state)
-    np.testing.assert_allclose(elements.keplerian_to_cartesian(back), state, rtol=0, atol=1e-5)
-    assert np.all(np.isfinite(jax.jit(jax.jacrev(elements.cartesian_to_keplerian))(state)))
+    circular, equatorial = [7e6, 0.0, 0.9, 1.0, 0.0, 2.0], [7e6, 0.1, 0.0, 0.0, 1.0, 2.0]
+    both, polar = [7e6, 0.0, 0.0, 0.0, 0.0, 2.0], [7e6, 0.1, np.pi / 2, 1.0, 0.5, 2.0]
+    to_cartesian = quick(jax.vmap(elements.keplerian_to_cartesian))
+    states = to_cartesian(jnp.asarray([circular, equatorial, both, polar]))
+    back = quick(jax.vmap(elements.cartesian_to_keplerian))(states)
+    np.testing.assert_allclose(to_cartesian(back), states, rtol=0, atol=1e-5)
+    gradients = quick(jax.vmap(jax.jacrev(elements.cartesian_to_keplerian)))(states)
+    assert np.all(np.isfinite(gradients))
 
 
 def test_keplerian_propagation_against_integration(x64):
@@ -127,19 +121,13 @@ def test_zonal_gravity_against_brahe(degree, rng, x64):
     np.testing.assert_allclose(jax.jit(jax.vmap(ours))(jnp.asarray(positions)), expected, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("degree", [1, 7, -1, 4.0, True])
+@pytest.mark.parametrize("degree", [7, -1, True])
 def test_zonal_degree_is_checked(degree):
-    r = jnp.asarray([7e6, 0.0, 0.0])
-    if degree == 1 and degree is not True:
-        np.testing.assert_array_equal(gravity.accel_zonal(r, 1), 0.0)
-    else:
-        with pytest.raises(Exception, match="degree"):
-            gravity.accel_zonal(r, degree)
+    with pytest.raises(ValueError, match="degree: expected a static integer from 0 to 6"):
+        gravity.accel_zonal(jnp.asarray([7e6, 0.0, 0.0]), degree)
 
 
-@pytest.mark.parametrize(
-    "body, gm", [(SUN, constants.GM_SUN), (MOON, constants.GM_MOON)], ids=["sun", "moon"]
-)
+@pytest.mark.parametrize("body, gm", [(SUN, constants.GM_SUN), (MOON, constants.GM_MOON)], ids=["sun", "moon"])
 def test_third_body_against_exact_arithmetic(body, gm, rng, x64):
     """Relative error 1e-13 in float64 and 1e-6 in float32 of the plain difference in 40 digits."""
     decimal.getcontext().prec = 40
@@ -224,10 +212,10 @@ def test_drag_against_brahe(rng, x64):
         np.testing.assert_allclose(ours, expected, rtol=1e-8, atol=1e-18)
 
 
-def test_drag_at_rest_in_the_air_has_finite_gradient(x64):
+def test_drag_at_rest_in_the_air_has_finite_gradient(quick, x64):
     r = jnp.asarray([7e6, 0.0, 0.0])
     v = jnp.asarray([0.0, constants.OMEGA_EARTH * 7e6, 0.0])
-    gradient = jax.jacrev(drag.accel_drag, argnums=(0, 1))(r, v, 1e-12, 100.0, 1.0, 2.2)
+    gradient = quick(jax.jacrev(drag.accel_drag, argnums=(0, 1)))(r, v, 1e-12, 100.0, 1.0, 2.2)
     assert all(np.all(np.isfinite(g)) for g in gradient)
 
 
@@ -236,9 +224,7 @@ def test_drag_at_rest_in_the_air_has_finite_gradient(x64):
 
 def test_rk4_against_brahe(x64):
     """One pendulum step equal to brahe's integrator to 1e-14."""
-    ours = integrators.rk4_step(
-        lambda t, y: jnp.stack([y[1], -jnp.sin(y[0]) + t]), 0.3, jnp.asarray([1.0, 0.2]), 0.1
-    )
+    ours = integrators.rk4_step(lambda t, y: jnp.stack([y[1], -jnp.sin(y[0]) + t]), 0.3, jnp.asarray([1.0, 0.2]), 0.1)
     theirs = brahe.RK4Integrator(2, lambda t, y: np.array([y[1], -np.sin(y[0]) + t]))
     np.testing.assert_allclose(ours, theirs.step(0.3, np.array([1.0, 0.2]), 0.1), rtol=0, atol=1e-14)
 
@@ -249,9 +235,7 @@ def test_rk4_is_of_fourth_order(x64):
     def error(steps):
         y = (jnp.asarray(1.0), {"twin": jnp.asarray([1.0, 2.0])})
         for i in range(steps):
-            y = integrators.rk4_step(
-                lambda t, y, k: jax.tree.map(lambda x: k * x, y), i / steps, y, 1 / steps, 1.0
-            )
+            y = integrators.rk4_step(lambda t, y, k: jax.tree.map(lambda x: k * x, y), i / steps, y, 1 / steps, 1.0)
         assert float(y[1]["twin"][1]) == pytest.approx(2 * float(y[0]), rel=1e-15)
         return abs(float(y[0]) - np.e)
 
@@ -281,9 +265,7 @@ def test_propagation_against_brahe_forces(x64):
     @jax.jit
     def propagate(state):
         def step(_, y):
-            return integrators.rk4_step(
-                dynamics.derivative, 0.0, y, duration / steps, params, dynamics.ForceModel()
-            )
+            return integrators.rk4_step(dynamics.derivative, 0.0, y, duration / steps, params, dynamics.ForceModel())
 
         return jax.lax.fori_loop(0, steps, step, state)
 

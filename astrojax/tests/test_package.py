@@ -30,9 +30,7 @@ def test_version_and_marker():
 def test_foreign_distribution_is_refused(tmp_path):
     info = tmp_path / "astrojax-0.9.9.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: astrojax\nVersion: 0.9.9\n", encoding="utf-8"
-    )
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: astrojax\nVersion: 0.9.9\n", encoding="utf-8")
     result = run("import astrojax", tmp_path)
     assert result.returncode == 1
     assert "ImportError: the distribution 'astrojax' 0.9.9 is installed" in result.stderr

@@ -21,14 +21,12 @@ SECONDS = np.linspace(0.0, 86399.0, 211)
 
 
 @pytest.mark.parametrize(
-    "when", ["2026-08-01T00:00:00Z", "2026-08-01T12:34:56.789012", "1999-12-31T23:59:59.5", "2030-02-28"]
+    "when", ["2026-08-01T00:00:00Z", "2026-08-01T12:34:56.789012", "1999-12-31T23:59:59.5", "2028-02-29"]
 )
 def test_calendar_against_astropy(when):
     day, seconds = time.mjd_from_calendar(when)
     expected = Time(when.rstrip("Z"), scale="utc")
-    assert (day - (expected.jd1 - MJD_ZERO)) * 86400.0 + seconds == pytest.approx(
-        expected.jd2 * 86400.0, abs=1e-6
-    )
+    assert (day - (expected.jd1 - MJD_ZERO)) * 86400.0 + seconds == pytest.approx(expected.jd2 * 86400.0, abs=1e-6)
     assert isinstance(day, int)
     assert 0.0 <= seconds < 86400.0
 
@@ -67,7 +65,7 @@ def test_epoch_seconds_from_python_numbers():
 
 def test_julian_centuries_against_astropy(x64):
     """TT from UTC, to a microsecond, on every date the constant leap second count covers."""
-    days = np.linspace(57800, 66000, 50).round()
+    days = np.linspace(57800, 61500, 50).round()
     ours = jax.vmap(time.julian_centuries_tt)(jnp.asarray(days), jnp.linspace(0.0, 86399.0, 50))
     instants = Time(days, np.linspace(0.0, 86399.0, 50) / 86400.0, format="mjd", scale="utc").tt
     theirs = ((instants.jd1 - 2451545.0) + instants.jd2) / 36525.0

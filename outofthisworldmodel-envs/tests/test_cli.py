@@ -22,7 +22,7 @@ def test_help_is_answered_without_loading_jax():
         "from owm_envs import cli\n"
         "try: cli.main(['--help'])\n"
         "except SystemExit as ended: assert not ended.code\n"
-        "print('loaded', {'jax', 'torch', 'gymnasium.vector', 'pyarrow'} & set(sys.modules) & {'jax', 'torch', 'pyarrow'})"
+        "print('loaded', {'jax', 'torch', 'pyarrow', 'cv2'} & set(sys.modules))"
     )
     answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert "generate" in answer.stdout and "loaded set()" in answer.stdout, answer.stdout
@@ -63,7 +63,7 @@ def test_config_validate_names_the_mistake(capsys, tmp_path, text, message):
         file.write_text(text)
     assert run("config", "validate", str(file)) == 2
     told = capsys.readouterr().err
-    assert message in told and "Traceback" not in told and "bad.toml" in told + message
+    assert message in told and "Traceback" not in told and "bad.toml" in told
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,4 @@
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -23,7 +21,7 @@ from owm_envs.task.events import Outcome
 
 ARRAYS = ("observation", "true_state", "epoch", "action", "reward", "done", "success", "goal_pose")
 CONFIG = load_config(fidelity="iss", noise="cooperative", horizon=4.0, ports=["zvezda_aft", "unity_nadir"])
-REQUEST = Request(transitions=450, val_transitions=100, seed=7, episodes_per_batch=2)
+REQUEST = Request(transitions=3000, val_transitions=100, seed=7, episodes_per_batch=2)
 
 
 def assert_same(episode: Episode, other: Episode) -> None:
@@ -37,7 +35,7 @@ def assert_same(episode: Episode, other: Episode) -> None:
 def made_up(rng: np.random.Generator, length: int, port: int = 3, outcome: Outcome = Outcome.DOCKED) -> Episode:
     """An episode of random numbers, subnormal and huge ones among them."""
     last = np.arange(length) == length - 1
-    numbers = rng.normal(size=(length + 1, 13)) * 10.0 ** rng.integers(-300, 300, (length + 1, 13))
+    numbers = rng.normal(size=(length + 1, 13)) * 10.0 ** rng.integers(-140, 140, (length + 1, 13))
     return Episode(
         observation=rng.normal(size=(length + 1, 13)).astype(np.float32) * np.float32(1e-40),
         true_state=numbers,
@@ -98,8 +96,6 @@ def test_statistics_of_episodes_add_up_to_those_of_all_rows():
     for name, value in [("mean", rows.mean(0)), ("std", rows.std(0)), ("min", rows.min(0)), ("max", rows.max(0))]:
         np.testing.assert_allclose(total["action"][name], value, rtol=1e-12)
     assert total["action"]["count"].tolist() == [349] and total["port"]["count"].tolist() == [352]
-    one = episode_statistics({"port": rng.normal(size=999)})["port"]
-    np.testing.assert_allclose(one["q10"], np.quantile(rng.normal(size=0).tolist() or [one["q10"][0]], 0.1))
     values = rng.normal(size=(999, 1))
     np.testing.assert_allclose(episode_statistics({"port": values})["port"]["q90"], np.quantile(values, 0.9, axis=0))
 
@@ -107,7 +103,7 @@ def test_statistics_of_episodes_add_up_to_those_of_all_rows():
 def test_a_recorded_dataset_is_what_was_asked_for(recorded):
     folder, summary = recorded
     train, val = datasets.read(folder, "train"), datasets.read(folder, "val")
-    for split, episodes, target in [("train", train, 450), ("val", val, 100)]:
+    for split, episodes, target in [("train", train, 3000), ("val", val, 100)]:
         counts = [len(episode) for episode in episodes]
         assert sum(counts) == summary[split]["transitions"] >= target > sum(counts[:-1])
         assert summary[split]["episodes"] == len(episodes)
@@ -145,8 +141,10 @@ def test_the_metadata_says_what_the_files_hold(recorded):
         }
         meta = pa.concat_tables(pq.read_table(file) for file in sorted((folder / split / "meta/episodes").rglob("*.*")))
         for row in meta.to_pylist():
-            file = folder / split / info["data_path"].format(
-                chunk_index=row["data/chunk_index"], file_index=row["data/file_index"]
+            file = (
+                folder
+                / split
+                / info["data_path"].format(chunk_index=row["data/chunk_index"], file_index=row["data/file_index"])
             )
             held = pq.read_table(file, filters=[("episode_index", "==", row["episode_index"])])
             assert held["index"].to_pylist() == list(range(row["dataset_from_index"], row["dataset_to_index"]))
@@ -171,7 +169,7 @@ def test_flights_are_spread_as_the_mix_says():
 
 def _command(folder, config):
     module = [sys.executable, "-m", "owm_envs.cli", "generate", "--out", str(folder), "--config", str(config)]
-    numbers = {"transitions": 450, "val-transitions": 100, "seed": 7, "episodes-per-batch": 2}
+    numbers = {"transitions": 3000, "val-transitions": 100, "seed": 7, "episodes-per-batch": 2}
     return module + [word for name, value in numbers.items() for word in (f"--{name}", str(value))]
 
 
@@ -180,19 +178,17 @@ def test_a_killed_run_leaves_nothing_or_resumes_to_the_same_dataset(recorded, tm
     folder, config = tmp_path / "set", tmp_path / "config.toml"
     config.write_text(CONFIG.to_toml(), encoding="utf-8")
     first = folder.with_name("set.partial") / "train/meta/episodes/chunk-000/file-000.parquet"
-    process = subprocess.Popen(_command(folder, config), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
+    with subprocess.Popen(_command(folder, config), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         while not first.is_file() and process.poll() is None:
             time.sleep(0.005)
-        assert process.poll() is None, "the run ended before it could be killed"
-    finally:
-        os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
-        process.wait(timeout=60)
+        ended = process.poll()
+        process.kill()
+        assert ended is None, f"the run ended before it could be killed: {process.stderr.read()}"
     assert not folder.exists()
     with pytest.raises(FileNotFoundError, match="holds an unfinished one"):
         datasets.read(folder, "train")
     with pytest.raises(FileExistsError, match="unfinished run with other settings"):
-        generate(folder, CONFIG, Request(transitions=450, val_transitions=100, seed=8, episodes_per_batch=2))
+        generate(folder, CONFIG, Request(transitions=3000, val_transitions=100, seed=8, episodes_per_batch=2))
     kept = first.stat().st_mtime_ns
     told = []
     generate(folder, CONFIG, REQUEST, announce=told.append)

@@ -136,7 +136,7 @@ def test_reset_moves_the_masked_slots_to_their_new_ports(env, policies):
     policy = VectorPolicy(policies["dock"])
     policy.reset(ports=np.array([0, 0, 3]))
     before, _ = policy.predict(observations)
-    policy.reset(mask=np.array([True, False, False]), ports=np.array([3, 5, 5]))
+    policy.reset(mask=np.array([True, False, False]), ports=["zvezda_aft", "pirs_nadir", "pirs_nadir"])
     after, _ = policy.predict(observations)
     np.testing.assert_array_equal(after[0], before[2])
     np.testing.assert_array_equal(after[1:], before[1:])
@@ -160,6 +160,7 @@ def test_predict_takes_state_back_and_single_observations(env, policies):
     ("ports", "mask", "observations", "message"),
     [
         ([0, 8], None, None, "from 0 to 7"),
+        (["zvezda_aff", "pirs_nadir"], None, None, "did you mean 'zvezda_aft'"),
         (None, [True, True], None, "ports must be given"),
         ([0, 1], None, (3, 25), r"\(2, 25\), got \(3, 25\)"),
         ([0, 1], None, (2, 13), r"\(2, 25\), got \(2, 13\)"),

@@ -1,8 +1,8 @@
 import jax
 import numpy as np
 import pytest
-from astrojax.attitude import quat_rotate
 
+from astrojax.attitude import quat_rotate
 from owm_envs import rollout as module
 from owm_envs.env import DockingEnv
 from owm_envs.policies import make_policy

@@ -12,6 +12,7 @@ import statistics
 import jax
 import jax.numpy as jnp
 import numpy as np
+
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.exact import ExactDynamics
 from owm.model.config import preset
@@ -71,16 +72,10 @@ def main() -> None:
         untrained("small"),
     ]
     rows = [measure(model, field, repeats) for model in models]
-    print(
-        f"{'model':36s} {'compile + first, s':>18s} {'median, ms':>11s} "
-        f"{'best, ms':>9s} {'of the first row':>17s}"
-    )
+    print(f"{'model':36s} {'compile + first, s':>18s} {'median, ms':>11s} {'best, ms':>9s} {'of the first row':>17s}")
     for row in rows:
         ratio = row["best_ms"] / rows[0]["best_ms"]
-        print(
-            f"{row['model']:36s} {row['first_s']:18.1f} {row['median_ms']:11.1f} "
-            f"{row['best_ms']:9.1f} {ratio:17.1f}"
-        )
+        print(f"{row['model']:36s} {row['first_s']:18.1f} {row['median_ms']:11.1f} {row['best_ms']:9.1f} {ratio:17.1f}")
     print(json.dumps(rows))
 
 

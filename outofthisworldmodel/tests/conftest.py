@@ -8,8 +8,9 @@ import pytest
 # Tests are imported by path, not from a package, so their common helper has to be made findable.
 sys.path.insert(0, str(Path(__file__).parent))
 
-import synthetic  # noqa: E402
-from owm.data import Episodes, from_episodes  # noqa: E402
+import synthetic
+
+from owm.data import Episodes, from_episodes
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
+
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate
 from astrojax.attitude import quat_from_rotation_vector as quat_exp
 from astrojax.attitude import quat_to_rotation_vector as quat_log
@@ -23,7 +24,7 @@ POLICIES = ("random", "dock", "orbit", "held")
 
 
 def derivative(view, action, orbital):
-    """Return the time derivative of the 13-number view under body force and torque; `orbital` scales the mean motion."""
+    """Return the time derivative of the view under body force and torque; `orbital` scales the mean motion."""
     n = MEAN_MOTION * orbital
     inertia = jnp.asarray(INERTIA, view.dtype)
     r, v, q, w = view[:3], view[3:6], view[6:10], view[10:]

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+
 from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, trials
 from owm.evaluation.flights import (
     TOLERANCES,
@@ -117,9 +118,7 @@ def test_a_policy_does_the_same_when_the_truth_in_info_is_gone(config, monkeypat
     def without_truth(method):
         def called(*args, **kwargs):
             *rest, info = method(*args, **kwargs)
-            gone = {
-                k: np.full_like(v, np.nan) for k, v in info.items() if np.issubdtype(v.dtype, np.floating)
-            }
+            gone = {k: np.full_like(v, np.nan) for k, v in info.items() if np.issubdtype(v.dtype, np.floating)}
             return *rest, {**info, **gone}
 
         return called

@@ -80,12 +80,8 @@ def keplerian_to_cartesian(elements: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
     sin_i, cos_i = jnp.sin(inc), jnp.cos(inc)
     sin_o, cos_o = jnp.sin(raan), jnp.cos(raan)
     sin_w, cos_w = jnp.sin(argp), jnp.cos(argp)
-    p = jnp.stack(
-        [cos_w * cos_o - sin_w * cos_i * sin_o, cos_w * sin_o + sin_w * cos_i * cos_o, sin_w * sin_i]
-    )
-    q = jnp.stack(
-        [-sin_w * cos_o - cos_w * cos_i * sin_o, -sin_w * sin_o + cos_w * cos_i * cos_o, cos_w * sin_i]
-    )
+    p = jnp.stack([cos_w * cos_o - sin_w * cos_i * sin_o, cos_w * sin_o + sin_w * cos_i * cos_o, sin_w * sin_i])
+    q = jnp.stack([-sin_w * cos_o - cos_w * cos_i * sin_o, -sin_w * sin_o + cos_w * cos_i * cos_o, cos_w * sin_i])
     speed = jnp.sqrt(gm / a) / (1.0 - e * cos_e)
     position = a * (cos_e - e) * p + a * root * sin_e * q
     velocity = -speed * sin_e * p + speed * root * cos_e * q

@@ -91,7 +91,10 @@ def validate(config: Annotated[Path, tyro.conf.Positional]) -> None:
     """
     from owm_envs.config import load_config
 
-    settings = load_config(config)
+    try:
+        settings = load_config(config)
+    except ValueError as error:
+        raise ValueError(f"{config}: {error}") from None
     print(f"{config}: valid, a configuration of {settings.fidelity}")
 
 
@@ -124,7 +127,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         app.cli(prog="owm-envs", description="Spacecraft docking environments.", args=arguments)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        print("interrupted; a dataset is resumed by the same command", file=sys.stderr)
         raise SystemExit(130) from None
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -3,19 +3,19 @@
 A policy sees the observation, its own state and the port it was assigned; never the truth.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
 from owm_envs.config import unknown
 from owm_envs.datasets.schema import POLICY_NAMES
-from owm_envs.station import goal_poses
+from owm_envs.station import goal_poses, port_index
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.reset import named_key
@@ -108,7 +108,7 @@ def pointing_error(view: View, direction: Float[Array, "3"]) -> Float[Array, "3"
     return jnp.where(sine > 1e-9, jnp.arctan2(safe, z) / safe, 0) * across
 
 
-_static = partial(field, metadata={"static": True})
+_STATIC = {"static": True}
 
 
 @jax.tree_util.register_dataclass
@@ -117,7 +117,7 @@ class RandomPolicy:
     """Uniform force and torque, drawn anew at every decision."""
 
     vehicle: Vehicle
-    layout: ObservationLayout = _static()
+    layout: ObservationLayout = field(metadata=_STATIC)
     name: ClassVar[str] = "random"
 
     def init(self, key, port):
@@ -151,8 +151,8 @@ class ExcitePolicy:
     """
 
     vehicle: Vehicle
-    layout: ObservationLayout = _static()
-    hold: int = _static()
+    layout: ObservationLayout = field(metadata=_STATIC)
+    hold: int = field(metadata=_STATIC)
     """Decisions between draws."""
     name: ClassVar[str] = "excite"
 
@@ -200,7 +200,7 @@ class OrbitPolicy:
     """
 
     vehicle: Vehicle
-    layout: ObservationLayout = _static()
+    layout: ObservationLayout = field(metadata=_STATIC)
     name: ClassVar[str] = "orbit"
 
     def init(self, key, port):
@@ -248,7 +248,7 @@ class DockPolicy:
     """Critically damped PD straight to the port's hold pose, whatever stands in between."""
 
     vehicle: Vehicle
-    layout: ObservationLayout = _static()
+    layout: ObservationLayout = field(metadata=_STATIC)
     name: ClassVar[str] = "dock"
 
     def init(self, key, port):
@@ -277,7 +277,7 @@ class DockGeodesicPolicy:
     vehicle: Vehicle
     field: Any
     """A `GeodesicField`."""
-    layout: ObservationLayout = _static()
+    layout: ObservationLayout = field(metadata=_STATIC)
     name: ClassVar[str] = "dock-geodesic"
 
     def init(self, key, port):
@@ -362,24 +362,24 @@ class VectorPolicy:
         self._pending: np.ndarray | None = None
         self._state: Any = None
 
-    def reset(self, mask: Bool[np.ndarray, "B"] | None = None, ports: Int[np.ndarray, "B"] | None = None) -> None:
+    def reset(
+        self, mask: Bool[np.ndarray, "B"] | None = None, ports: Sequence[str | int] | np.ndarray | None = None
+    ) -> None:
         """Announce new episodes: their slots start afresh at the next `predict`.
 
         Args:
             mask: slots whose episode begins; all when None.
-            ports: assigned port of every slot (read where `mask` is True); the ones known so far when None.
+            ports: assigned port of every slot, as names (`info["port"]`) or indices, read where `mask` is True; the
+                ones known so far when None.
 
         Raises:
-            ValueError: shapes disagree, a port is out of range, or no ports were ever given.
+            ValueError: shapes disagree, a port is unknown, or no ports were ever given.
         """
         if ports is None:
             if self._ports is None:
                 raise ValueError("ports must be given on the first reset: one port index for each slot")
             ports = self._ports
-        ports = np.atleast_1d(np.asarray(ports)).astype(np.int32)
-        count = len(goal_poses())
-        if ports.ndim != 1 or (ports < 0).any() or (ports >= count).any():
-            raise ValueError(f"ports must be one index from 0 to {count - 1} for each slot, got {ports.tolist()}")
+        ports = _port_indices(ports)
         mask = np.ones(ports.shape, bool) if mask is None else np.atleast_1d(np.asarray(mask, bool))
         fresh = self._ports is None or (mask.all() and mask.shape == ports.shape != self._ports.shape)
         if fresh:
@@ -437,6 +437,16 @@ class VectorPolicy:
         self._pending = np.zeros_like(self._pending)
         actions = np.asarray(actions, np.float32)
         return (actions[0] if single else actions), self._state
+
+
+def _port_indices(ports: Sequence[str | int] | np.ndarray) -> Int[np.ndarray, "B"]:
+    values = np.atleast_1d(np.asarray(ports))
+    if values.dtype.kind in "UO":
+        values = np.array([port_index(str(name)) for name in values])
+    count = len(goal_poses())
+    if values.ndim != 1 or values.dtype.kind not in "iu" or (values < 0).any() or (values >= count).any():
+        raise ValueError(f"ports must be a name or an index from 0 to {count - 1} for each slot, got {values.tolist()}")
+    return values.astype(np.int32)
 
 
 @jax.jit

@@ -89,23 +89,26 @@ def rollout(
         final = jax.tree.map(np.asarray, _info(env, params, carry[0]))
     if not ports.size:
         return []
-    frames = jax.tree.map(lambda *parts: np.concatenate(parts), *frames)
-    decisions = jax.tree.map(lambda *parts: np.concatenate(parts), *decisions)
     names = [POLICY_NAMES.index(p.name) if p.name in POLICY_NAMES else -1 for p in policies]
     return [_episode(i, frames, decisions, final, names[which[i]]) for i in range(ports.size)]
 
 
-def _episode(slot: int, frames: Frame, decisions: Decision, final: dict[str, np.ndarray], policy: int) -> Episode:
-    outcomes = decisions.outcome[:, slot]
+def _episode(slot: int, frames: list[Frame], decisions: list[Decision], final: dict, policy: int) -> Episode:
+    """One slot's flight, out of the chunks of the batch."""
+
+    def joined(chunks, name, stop, dtype):
+        return np.concatenate([getattr(chunk, name)[:, slot] for chunk in chunks])[:stop].astype(dtype)
+
+    outcomes = joined(decisions, "outcome", None, np.int32)
     length = int(np.argmax(outcomes != Outcome.RUNNING)) + 1
     outcome = int(outcomes[length - 1])
     last = np.arange(length) == length - 1
     return Episode(
-        observation=np.ascontiguousarray(frames.observation[: length + 1, slot], np.float32),
-        true_state=np.ascontiguousarray(frames.true_state[: length + 1, slot], np.float64),
-        epoch=np.ascontiguousarray(frames.epoch[: length + 1, slot], np.float64),
-        action=np.ascontiguousarray(decisions.action[:length, slot], np.float32),
-        reward=np.ascontiguousarray(decisions.reward[:length, slot], np.float32),
+        observation=joined(frames, "observation", length + 1, np.float32),
+        true_state=joined(frames, "true_state", length + 1, np.float64),
+        epoch=joined(frames, "epoch", length + 1, np.float64),
+        action=joined(decisions, "action", length, np.float32),
+        reward=joined(decisions, "reward", length, np.float32),
         done=last,
         success=last & (outcome == Outcome.DOCKED),
         port=int(final["port"][slot]),

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import jax
-from owm_envs.config import DockingConfig
-from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
 from owm.console import announce, console, flying, print_table
 from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, trials
@@ -21,6 +19,8 @@ from owm.planning.config import PlannerConfig
 from owm.policies import kind_of, load_model, load_policy
 from owm.recordings import at_model_rate, read_recordings
 from owm.training.config import TrainConfig
+from owm_envs.config import DockingConfig
+from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
 
 def train(data: Path, out: Path, config: TrainConfig) -> None:
@@ -152,9 +152,7 @@ def evaluate_docking(
         save_figure(trajectory_figure(each), files[-1])
     files.append(Path(out) / "tolerance.png")
     save_figure(tolerance_figure(flown), files[-1])
-    print_table(
-        docking_table(flown), f"{len(seeds)} flights each from the same starts (digest {starts}), {shell} m"
-    )
+    print_table(docking_table(flown), f"{len(seeds)} flights each from the same starts (digest {starts}), {shell} m")
     print_table(port_table(flown))
     for file in files:
         print(file)

@@ -23,7 +23,7 @@ _WIDTH = 140
 
 def announce(text: str) -> None:
     """Say what begins."""
-    console.print(text)
+    console.print(text, soft_wrap=True)
 
 
 def print_table(table: Table, title: str = "") -> None:

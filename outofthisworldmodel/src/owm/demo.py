@@ -9,8 +9,6 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from owm_envs.config import DockingConfig, load_config
-from owm_envs.station import TRAIN_PORTS
 
 from owm import __version__
 from owm.commands import fly_named, predict, slug
@@ -26,6 +24,8 @@ from owm.planning.config import PlannerConfig
 from owm.recordings import at_model_rate, read_recordings
 from owm.stages import Stages, peak_memory, source_digest
 from owm.training.config import PRESETS, TrainConfig
+from owm_envs.config import DockingConfig, load_config
+from owm_envs.station import TRAIN_PORTS
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,7 @@ ON_POLICY = "held-out episodes: random, orbit, dock"
 PLANNER_STYLE = "held-out episodes: random wrenches held for 2 s"
 
 
-def demo(
-    scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int = 0, *, fresh: bool = False
-) -> bool:
+def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int = 0, *, fresh: bool = False) -> bool:
     """Run the demo, print its table and write its report.
 
     Args:
@@ -132,9 +130,7 @@ def demo(
     reports = write_demo_report(results)
     stages.finish()
 
-    print_table(
-        docking_table(results.flights, ["world model"]), f"Docking, {len(results.flights[0])} flights each"
-    )
+    print_table(docking_table(results.flights, ["world model"]), f"Docking, {len(results.flights[0])} flights each")
     for text, kept in checks.items():
         console.print(f"{'[green]kept[/]' if kept else '[red]broken[/]'}  {text}")
     for path in reports:
@@ -171,9 +167,7 @@ def check(predictions: dict[str, list[PredictionError]], flights: Flights) -> di
 def _record(folder: Path, config: DockingConfig, size: Scale, seed: int) -> dict:
     from owm_envs.datasets.generate import Request, generate
 
-    request = Request(
-        size.transitions, max(1, size.transitions // 10), seed, size.planner_style, size.episodes
-    )
+    request = Request(size.transitions, max(1, size.transitions // 10), seed, size.planner_style, size.episodes)
     shutil.rmtree(folder, ignore_errors=True)
     with bar("recording", "transitions") as update:
 
@@ -218,14 +212,13 @@ def _train(out: Path, episodes: Episodes, val: Episodes, size: Scale, seed: int)
 
 
 def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
+    from owm.baselines.constant_velocity import ConstantVelocity
+    from owm.baselines.exact import ExactDynamics
+    from owm.model.checkpoint import load_world_model
     from owm_envs.env import DockingEnv
     from owm_envs.policies import make_policy
     from owm_envs.rollout import rollout
     from owm_envs.station import port_index
-
-    from owm.baselines.constant_velocity import ConstantVelocity
-    from owm.baselines.exact import ExactDynamics
-    from owm.model.checkpoint import load_world_model
 
     announce("flying new episodes to predict ...")
     env = DockingEnv(config)
@@ -233,9 +226,7 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
     # As the recorder's keys, but of a third kind beside train and val: no episode is one of theirs.
     base = jax.random.fold_in(jax.random.key(np.uint32(seed)), 2)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(base, np.arange(size.episodes, dtype=np.uint32))
-    ports = np.array(
-        [port_index(TRAIN_PORTS[i // len(names) % len(TRAIN_PORTS)]) for i in range(size.episodes)]
-    )
+    ports = np.array([port_index(TRAIN_PORTS[i // len(names) % len(TRAIN_PORTS)]) for i in range(size.episodes)])
     which = np.arange(size.episodes) % len(names)
     with bar("flying", "steps") as update:
         update(0, 0, "compiling")
@@ -245,9 +236,7 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
             keys,
             ports,
             which=which,
-            progress=lambda done, running: update(
-                done, round(config.horizon / config.dt), f"{running} flying"
-            ),
+            progress=lambda done, running: update(done, round(config.horizon / config.dt), f"{running} flying"),
         )
     groups = {
         ON_POLICY: at_model_rate([e for e in flown if e.policy_name != "excite"]),
@@ -297,9 +286,7 @@ def _fly(stages: Stages, out: Path, size: Scale, seed: int) -> dict[str, Flights
         spec = str(out / model) if model else name
 
         def fly(name=name, spec=spec, file=file):
-            flown = fly_named(
-                spec, config, seeds, ports, seed=seed, slots=size.slots, planner=size.planner, name=name
-            )
+            flown = fly_named(spec, config, seeds, ports, seed=seed, slots=size.slots, planner=size.planner, name=name)
             flown.save(out / file)
 
         stages.run(f"flying {name}", [file], fly)

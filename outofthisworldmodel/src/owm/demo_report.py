@@ -75,8 +75,7 @@ _DIFFERENCES = (
     "mention such a loop.",
     "**Starts.** 100–225 m, cooperative noise. The paper's reinforcement-learning shell is 100–125 m.",
     "**Count.** The paper flies 50 times to each port, this demo {trials}: mind the intervals.",
-    "**Hardware.** Processor here, minutes of training; the paper trains 1.5 hours an epoch on an NVIDIA "
-    "H100.",
+    "**Hardware.** Processor here, minutes of training; the paper trains 1.5 hours an epoch on an NVIDIA H100.",
 )
 
 
@@ -162,9 +161,8 @@ def _failed(results: Results) -> list[Block]:
         Text(f"Flights that collided or never came within 1 m: {', '.join(counts)}. Each of them:"),
         table,
         Text(
-            "To see one: `owm fly --policy POLICY --port PORT --plot`, or reset the environment with that "
-            "seed and "
-            "`dock_port`."
+            "A flight is repeated by `reset(seed=SEED, options={'dock_port': PORT})` of the environment with "
+            "cooperative noise, `steps_per_action=5` and `collision_terminates=False`."
         ),
     ]
 
@@ -201,19 +199,20 @@ def _training(results: Results, figures: Path) -> list[Block]:
             "held-out port."
         ),
         Text(
-            f"Model: {facts['parameters']:,} trained parameters (width {model.width}, {model.blocks} "
-            "block(s), history "
-            f"{model.history_length} measurements), {config.steps:,} optimisation steps of {config.batch} "
-            "windows on "
-            f"{facts['steps']:,} steps of {model.dt} s. The weights of step {facts['best_step']:,} scored "
-            "best on the "
-            f"{facts['val_episodes']} validation episodes. Least squares: fitted to the same "
-            f"{facts['episodes']} "
-            "episodes, no network."
+            f"Model: {facts['parameters']:,} trained parameters ({model.blocks} block{'s' * (model.blocks > 1)} of "
+            f"width {model.width}, history of {model.history_length} measurements) over the least-squares map, "
+            f"{config.steps:,} optimisation steps of {config.batch} windows on {facts['steps']:,} steps of "
+            f"{model.dt} s. Least squares is fitted to the same {facts['episodes']} episodes, with no network; the "
+            "untrained model, at step 0, predicts as it does."
         ),
-        Picture(
-            figures / "loss.png", "Training losses; validation errors 16 s ahead against the measurements."
+        Text(
+            f"The weights of step {facts['best_step']:,} scored best on the {facts['val_episodes']} validation "
+            "episodes and were kept."
+            if facts["best_step"]
+            else "**No trained weights scored better on the validation episodes than the untrained model: the rows "
+            "of the world model are those of least squares.**"
         ),
+        Picture(figures / "loss.png", "Training losses; validation errors 16 s ahead against the measurements."),
     ]
 
 
@@ -229,9 +228,7 @@ def _trajectories(results: Results, figures: Path) -> list[Block]:
     for each in results.flights:
         blocks += [
             Heading(each.policy, 3),
-            Picture(
-                figures / f"trajectories_{slug(each.policy)}.png", f"{each.policy}: {len(each)} flights."
-            ),
+            Picture(figures / f"trajectories_{slug(each.policy)}.png", f"{each.policy}: {len(each)} flights."),
         ]
     return blocks
 
@@ -269,10 +266,7 @@ def _paper(results: Results) -> list[Block]:
     trials = f"{results.size.trials} time{'s' if results.size.trials > 1 else ''}"
     return [
         Heading("Next to the paper"),
-        Text(
-            "The paper's figures for the same task, with everything that makes this no like-for-like "
-            "comparison:"
-        ),
+        Text("The paper's figures for the same task, with everything that makes this no like-for-like comparison:"),
         Table(columns, [*rows, *map(list, _PAPER)]),
         Bullets([text.format(trials=trials) for text in _DIFFERENCES]),
     ]
@@ -285,11 +279,7 @@ def _run(results: Results) -> list[Block]:
     ]
     known = sum(results.seconds.values())
     rows.append(["all stages", f"{known:.0f}", ""])
-    memory = (
-        "not measured on this system"
-        if results.peak_memory is None
-        else f"{results.peak_memory / 1e9:.2f} GB"
-    )
+    memory = "not measured on this system" if results.peak_memory is None else f"{results.peak_memory / 1e9:.2f} GB"
     packages = ("jax", "jaxlib", "numpy", "gymnasium", "equinox", "optax", "matplotlib")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
     folder, size = results.folder.as_posix(), results.size
@@ -325,16 +315,16 @@ def _run(results: Results) -> list[Block]:
 
 
 def _curves(metrics: list[dict]):
-    steps = [line["step"] for line in metrics]
+    trained = [line for line in metrics if "flow_loss" in line]
+    steps = [line["step"] for line in trained]
     training = {
-        "flow loss": (steps, [line["flow_loss"] for line in metrics]),
-        "decode loss": (steps, [line["decode_loss"] for line in metrics]),
+        "flow loss": (steps, [line["flow_loss"] for line in trained]),
+        "decode loss": (steps, [line["decode_loss"] for line in trained]),
     }
     scored = [line for line in metrics if "score" in line]
     names = {"val_position_m": "position, 16 s ahead [m]", "val_attitude_deg": "attitude, 16 s ahead [deg]"}
     validation = {
-        label: ([line["step"] for line in scored], [line[key] for line in scored])
-        for key, label in names.items()
+        label: ([line["step"] for line in scored], [line[key] for line in scored]) for key, label in names.items()
     }
     return training, validation
 

@@ -30,15 +30,9 @@ GIVEN_COLUMNS = (
 )
 _MAP = "yes: geodesic field and clearance"
 GIVEN: dict[str, Given] = {
-    "world model": Given(
-        _MAP, "kinematics of a rigid body; accelerations learned", "no", "no", "no", "corpus"
-    ),
-    "least-squares": Given(
-        _MAP, "kinematics of a rigid body; accelerations fitted", "no", "no", "no", "corpus"
-    ),
-    "oracle-mppi": Given(
-        _MAP, "the simulator's own, started from the measurement", "yes", "no", "no", "nothing"
-    ),
+    "world model": Given(_MAP, "kinematics of a rigid body; accelerations learned", "no", "no", "no", "corpus"),
+    "least-squares": Given(_MAP, "kinematics of a rigid body; accelerations fitted", "no", "no", "no", "corpus"),
+    "oracle-mppi": Given(_MAP, "the simulator's own, started from the measurement", "yes", "no", "no", "nothing"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "nothing"),
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "nothing"),
@@ -76,9 +70,7 @@ def kind_of(policy: str) -> str:
         raise FileNotFoundError(f"there is no checkpoint at {policy!r}")
     near = difflib.get_close_matches(policy, (*NAMES, "least-squares"), n=1, cutoff=0.4)
     hint = f"; did you mean {near[0]!r}?" if near else ";"
-    raise ValueError(
-        f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint"
-    )
+    raise ValueError(f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint")
 
 
 def _checkpoint(path: str) -> Path:
@@ -87,9 +79,7 @@ def _checkpoint(path: str) -> Path:
     return folder / "model" if (folder / "model" / "config.json").is_file() else folder
 
 
-def load_policy(
-    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None
-) -> Any:
+def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None) -> Any:
     """Build a policy for a batch of slots.
 
     Args:
@@ -114,9 +104,8 @@ def load_policy(
     env = DockingEnv(config)
     if kind in SCRIPTED:
         return VectorPolicy(make_policy(kind, env), seed=seed)
-    from owm_envs.geodesic import load_field
-
     from owm.planning.policy import PlannerPolicy
+    from owm_envs.geodesic import load_field
 
     made = PlannerPolicy(load_model(policy, config), load_field(), env, planner, num_slots, seed)
     made.name = kind if kind == policy else f"{kind} {policy}"

@@ -4,11 +4,10 @@ import os
 from collections.abc import Iterable, Sequence
 from types import SimpleNamespace
 
+from owm.data import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.reader import dataset_folder, read, read_info
 from owm_envs.datasets.schema import Episode
 from owm_envs.station import PORT_NAMES
-
-from owm.data import STRIDE, Episodes, from_episodes
 
 RATE = 20
 """Frames a second that a dataset must have."""
@@ -31,9 +30,7 @@ def read_recordings(path: str | os.PathLike, split: str) -> list[Episode]:
     return read(path, split)
 
 
-def at_model_rate(
-    recordings: Iterable[Episode], *, ports: Sequence[str] | None = None, phases: int = 1
-) -> Episodes:
+def at_model_rate(recordings: Iterable[Episode], *, ports: Sequence[str] | None = None, phases: int = 1) -> Episodes:
     """Resample recordings to the model's rate.
 
     Args:

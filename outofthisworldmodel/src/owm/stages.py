@@ -103,10 +103,9 @@ def _remove(path: Path) -> None:
 
 def source_digest() -> str:
     """Fingerprint of the three packages' source: results of other code are not to be continued."""
-    import owm_envs
-
     import astrojax
     import owm
+    import owm_envs
 
     sha = hashlib.sha256()
     for package in (astrojax, owm_envs, owm):

@@ -116,9 +116,7 @@ def density_harris_priester(r: Vector3, r_sun: Vector3, exponent: Scalar = 6) ->
     low = jnp.exp(row[0] + row[1] * fraction)
     high = jnp.exp(row[2] + row[3] * fraction)
     # The bulge's apex is the subsolar direction turned 30 degrees (two hours) east about the pole.
-    apex = jnp.stack(
-        [_LAG_COS * r_sun[0] - _LAG_SIN * r_sun[1], _LAG_SIN * r_sun[0] + _LAG_COS * r_sun[1], r_sun[2]]
-    )
+    apex = jnp.stack([_LAG_COS * r_sun[0] - _LAG_SIN * r_sun[1], _LAG_SIN * r_sun[0] + _LAG_COS * r_sun[1], r_sun[2]])
     cosine = dot(r * inverse_norm(r), apex * inverse_norm(r_sun))
     half = 0.5 + 0.5 * cosine  # cos^2(psi / 2)
     if isinstance(exponent, int) and exponent % 2 == 0:

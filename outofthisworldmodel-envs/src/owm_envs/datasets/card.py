@@ -55,14 +55,16 @@ def dataset_card(config: DockingConfig, request, summary: dict) -> str:
         "| column | width | type | meaning |",
         "|---|---|---|---|",
     ]
-    lines += [f"| `{name}` | {FEATURES[name].width} | {FEATURES[name].dtype} | {text} |" for name, text in _MEANING.items()]
+    lines += [
+        f"| `{name}` | {FEATURES[name].width} | {FEATURES[name].dtype} | {text} |" for name, text in _MEANING.items()
+    ]
     lines += [
         "",
         "`meta/stats.json` holds the statistics of the **train** split in both folders, so that val is normalised "
         "without having been looked at; each episode's own statistics stand in `meta/episodes`. Padding of the "
         "terminal rows is left out; quantiles are averages of the episodes' quantiles.",
         "",
-        "`config.toml` is the environment as run (`gymnasium.make(..., config=\"config.toml\")` takes it), "
+        '`config.toml` is the environment as run (`gymnasium.make(..., config="config.toml")` takes it), '
         f"`generation.json` the request (seed {request.seed}).",
         "",
     ]

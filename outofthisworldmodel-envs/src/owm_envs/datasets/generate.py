@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import os
 import shutil
 from collections import Counter
@@ -129,8 +130,8 @@ def generate(
     targets = {"train": request.transitions, "val": request.val_transitions}
     least = {"train": 1, "val": len(config.ports)}
 
-    _open_partial(partial, settings, announce)
     _check_space(partial, config, targets, least)
+    _open_partial(partial, settings, announce)
     try:
         summary = {}
         writers = {}
@@ -178,7 +179,8 @@ def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dic
     longest = round(config.horizon / config.decision_dt)
     expected = sum(max(targets[split], least[split] * longest) for split in targets) + longest
     there = sum(file.stat().st_size for file in partial.rglob("*") if file.is_file())
-    needed, free = expected * BYTES_PER_TRANSITION - there, shutil.disk_usage(partial).free
+    disk = next(folder for folder in partial.absolute().parents if folder.exists())
+    needed, free = expected * BYTES_PER_TRANSITION - there, shutil.disk_usage(disk).free
     if needed > free:
         raise OSError(
             errno.ENOSPC, f"{expected:,} transitions may take {needed / 1e6:,.0f} MB; {free / 1e6:,.0f} MB are free"
@@ -192,8 +194,10 @@ class _Recorder:
         self.config, self.request = config, request
         self.announce, self.progress = announce, progress
         self.longest = round(config.horizon / config.decision_dt)
-        likely = -(-request.transitions // self.longest)
-        self.batch = min(request.episodes_per_batch, max(8, 1 << (likely - 1).bit_length()))
+        # Episodes that end early are about a seventh; batches of equal size waste the fewest flights.
+        likely = math.ceil(1.15 * request.transitions / self.longest)
+        batches = math.ceil(likely / request.episodes_per_batch)
+        self.batch = min(request.episodes_per_batch, 8 * math.ceil(likely / batches / 8))
         self._env = None
 
     def record(self, split: str, writer: SplitWriter, flights: Iterator[Flight], target: int, least: int) -> None:
@@ -204,16 +208,17 @@ class _Recorder:
         while writer.transitions < target or writer.episodes < least:
             before = writer.transitions
             self.progress(Progress(split, min(before, target), target))
+            remaining = max(target - before, 0)
             batch = [next(flights) for _ in range(self.batch)]
 
-            def flown(steps, running, before=before):
-                self.progress(Progress(split, min(before + steps * self.batch, target), target))
+            def flown(steps, running, before=before, remaining=remaining):
+                share = min(1.0, steps / self.longest)
+                self.progress(Progress(split, int(min(before, target) + share * remaining), target))
 
             kept: list[Episode] = []
             # In seed order, never those that ended first: that would favour collisions.
             for episode in self._fly(split, writer.episodes, batch, flown):
-                enough = before + sum(map(len, kept)) >= target and writer.episodes + len(kept) >= least
-                if enough:
+                if before + sum(map(len, kept)) >= target and writer.episodes + len(kept) >= least:
                     break
                 kept.append(episode)
             writer.write(kept)

@@ -71,7 +71,9 @@ def _relative_states(inertial: np.ndarray) -> np.ndarray:
 
     def one(row):
         chaser = VehicleState(row[8:14], row[14:18], row[18:21])
-        return NumericalOrbits().relative_state(None, PhysicalState(row[:2], row[1], row[2:8], chaser, no_commands(row)))
+        return NumericalOrbits().relative_state(
+            None, PhysicalState(row[:2], row[1], row[2:8], chaser, no_commands(row))
+        )
 
     with jax.enable_x64(True):
         return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(inertial)))

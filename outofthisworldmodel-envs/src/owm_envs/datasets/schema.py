@@ -1,6 +1,6 @@
 """What a recorded episode is, and how its arrays are named in files."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ CODEBASE_VERSION = "v3.0"
 """The LeRobot dataset format written here; every v3 is read."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Episode:
     """One whole episode of T decisions, NumPy arrays in SI units.
 
@@ -40,7 +40,7 @@ class Episode:
     """Index into `POLICY_NAMES`; -1 for a policy of your own."""
     outcome: int
     """An `owm_envs.task.events.Outcome`."""
-    info: dict[str, Any] | None = field(default=None, compare=False)
+    info: dict[str, Any] | None = None
     """`DockingEnv.info` at the end of the flight; None when read from a file."""
 
     def __len__(self) -> int:

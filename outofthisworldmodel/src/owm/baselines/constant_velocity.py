@@ -22,9 +22,7 @@ class ConstantVelocity:
         """Start from the last measurement."""
         return to_motion(history.observation[-1], history.observation[-1])
 
-    def step(
-        self, params: tuple[()], key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion
-    ) -> Motion:
+    def step(self, params: tuple[()], key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion) -> Motion:
         """Coast for one step."""
         return advance(state, jnp.zeros_like(state.anchor[:6]), self.dt)
 

@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
 from astrojax.attitude import quat_normalize
 from astrojax.time import normalize_epoch
-from jaxtyping import Array, Float, Key
+from owm.model.interface import History
 from owm_envs.config import FIDELITIES, DockingConfig, Fidelity, load_config, unknown
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState
 from owm_envs.params import ChaserParams, ChiefParams, params_from_config
-
-from owm.model.interface import History
 
 
 class ExactParams(NamedTuple):

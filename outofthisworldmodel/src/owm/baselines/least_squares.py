@@ -23,9 +23,7 @@ class LeastSquares:
         """Start from the last measurement."""
         return to_motion(history.observation[-1], history.observation[-1])
 
-    def step(
-        self, params: LinearMap, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion
-    ) -> Motion:
+    def step(self, params: LinearMap, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion) -> Motion:
         """Apply the map for one step; deterministic with or without a key."""
         return linear_advance(params, state, action, self.dt)
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 from owm.files import write_atomically
+from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 TOLERANCES: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """m; with and without the bounds on speed, attitude and rate they make fourteen definitions of success."""
@@ -135,9 +135,7 @@ def join(parts: Sequence[Flights]) -> Flights:
     return Flights(**values)
 
 
-def succeeded(
-    flights: Flights, tolerance: float, *, full: bool = False, voided: bool = True
-) -> Bool[np.ndarray, "N"]:
+def succeeded(flights: Flights, tolerance: float, *, full: bool = False, voided: bool = True) -> Bool[np.ndarray, "N"]:
     """Whether each flight succeeded under one of the fourteen definitions.
 
     Args:

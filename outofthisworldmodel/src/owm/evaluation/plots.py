@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
-from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes
 
 from owm.evaluation.flights import TOLERANCES, Flights, rate, succeeded
 from owm.evaluation.prediction import PredictionError
 from owm.files import write_atomically
+from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444", "#8A6FBF")
 """Colours that the colour-blind can tell apart."""
@@ -63,10 +63,7 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
     if flights.trajectory is None:
         raise ValueError("these flights were recorded without trajectories")
     ports = sorted(set(flights.port.tolist()))
-    title = (
-        title
-        or f"{flights.policy}: {', '.join(PORT_NAMES[p] for p in ports) if len(ports) < 4 else 'all ports'}"
-    )
+    title = title or f"{flights.policy}: {', '.join(PORT_NAMES[p] for p in ports) if len(ports) < 4 else 'all ports'}"
     ends, single = end_of(flights), len(flights) == 1
     room = hull_distance(flights.trajectory[..., :3], radius)
     figure = Figure(figsize=(14, 8.4), layout="constrained", facecolor="white")
@@ -105,9 +102,7 @@ def _station(axes: Axes, i: int, j: int, sign: int) -> None:
     # Far boxes first, so that what is near hides them.
     boxes = boxes[np.argsort(sign * boxes.mean(axis=1)[:, 3 - i - j])]
     patches = [Rectangle((b[0, i], b[0, j]), b[1, i] - b[0, i], b[1, j] - b[0, j]) for b in boxes]
-    axes.add_collection(
-        PatchCollection(patches, facecolor="#d5dae2", edgecolor="#aab2be", linewidth=0.3, zorder=1)
-    )
+    axes.add_collection(PatchCollection(patches, facecolor="#d5dae2", edgecolor="#aab2be", linewidth=0.3, zorder=1))
 
 
 def _corridor(axes: Axes, port: int, i: int, j: int, label: bool) -> None:
@@ -121,9 +116,7 @@ def _corridor(axes: Axes, port: int, i: int, j: int, label: bool) -> None:
             interface,
             *(interface + reach * (normal + s * np.tan(np.radians(10)) * side) for s in (1, -1)),
         ]
-        cone = Polygon(
-            [(c[i], c[j]) for c in corners], closed=True, color="#0072B2", alpha=0.12, lw=0, zorder=2
-        )
+        cone = Polygon([(c[i], c[j]) for c in corners], closed=True, color="#0072B2", alpha=0.12, lw=0, zorder=2)
         axes.add_patch(cone)
     axes.plot(goal[i], goal[j], "+", color="#0072B2", ms=9, mew=1.6, zorder=5)
     if label:
@@ -137,9 +130,7 @@ def _corridor(axes: Axes, port: int, i: int, j: int, label: bool) -> None:
         )
 
 
-def _track(
-    axes: Axes, track: Float[np.ndarray, "T 13"], room, i: int, j: int, color: str, single: bool
-) -> None:
+def _track(axes: Axes, track: Float[np.ndarray, "T 13"], room, i: int, j: int, color: str, single: bool) -> None:
     flown = ~np.isnan(track[:, 0])
     track, room = track[flown], room[flown]
     size = 5 if single else 3
@@ -207,6 +198,11 @@ def _tidy(axes: Axes) -> None:
         axes.spines[side].set_color(_FAINT)
 
 
+def _nested(n: int) -> dict[str, float]:
+    """Widths that let a line be seen under those drawn after it."""
+    return {"lw": max(1.2, 4.2 - 0.9 * n), "ms": max(3.0, 8.0 - 1.4 * n)}
+
+
 def tolerance_figure(flights: Sequence[Flights]) -> Figure:
     """Collision-voided success against position tolerance, position only and with all bounds."""
     figure = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
@@ -214,9 +210,7 @@ def tolerance_figure(flights: Sequence[Flights]) -> Figure:
     for axes, full in zip(panels, (False, True)):
         for n, each in enumerate(flights):
             rates = [rate(succeeded(each, tolerance, full=full))["rate"] * 100 for tolerance in TOLERANCES]
-            axes.plot(
-                TOLERANCES, rates, "o-", color=PALETTE[n % len(PALETTE)], ms=4, lw=1.6, label=each.policy
-            )
+            axes.plot(TOLERANCES, rates, "o-", color=PALETTE[n % len(PALETTE)], label=each.policy, **_nested(n))
         axes.set_xscale("log")
         axes.set_xticks(TOLERANCES, [f"{t:g}" for t in TOLERANCES])
         axes.minorticks_off()
@@ -268,7 +262,8 @@ def prediction_figure(groups: Mapping[str, Sequence[PredictionError]]) -> Figure
             for each in group:
                 seconds = np.asarray(each.horizons) * each.dt
                 color = PALETTE[names.index(each.name) % len(PALETTE)]
-                axes.plot(seconds, each.mean(quantity), color=color, lw=1.8, label=each.name)
+                width = _nested(names.index(each.name))["lw"]
+                axes.plot(seconds, each.mean(quantity), color=color, lw=width, label=each.name)
             axes.set(yscale="log", ylabel=label)
             axes.set_title(title, loc="left", fontsize=10, color=_INK)
             _tidy(axes)

@@ -46,9 +46,7 @@ class PredictionError:
         return rows
 
 
-def roll_out(
-    model: WorldModel, params: Any, history: History, actions: Float[Array, "F 6"]
-) -> Float[Array, "F 13"]:
+def roll_out(model: WorldModel, params: Any, history: History, actions: Float[Array, "F 6"]) -> Float[Array, "F 13"]:
     """Predict the view after each of the given actions, deterministically."""
 
     def advance(state: Any, action: Array) -> tuple[Any, Array]:

@@ -42,7 +42,7 @@ class Code:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns and rows of text; the first column is left-aligned, numbers in the others are right-aligned."""
+    """Columns and rows of text; columns of numbers are aligned to the right."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -50,7 +50,11 @@ class Table:
     strong: Sequence[int] = ()
     """Rows to set apart."""
     words: bool = False
-    """The cells hold words: align all to the left."""
+    """The cells hold sentences, which may wrap."""
+
+    def is_numeric(self, column: int) -> bool:
+        """Whether a column holds numbers, or nothing, in every row."""
+        return column > 0 and all(re.match(r"[-+–]?\d|–?$", row[column]) for row in self.rows)
 
 
 @dataclass(frozen=True)
@@ -64,9 +68,7 @@ class Picture:
 Block = Heading | Text | Bullets | Code | Table | Picture
 
 
-def write_report(
-    title: str, blocks: Sequence[Block], folder: str | os.PathLike, name: str = "report"
-) -> list[Path]:
+def write_report(title: str, blocks: Sequence[Block], folder: str | os.PathLike, name: str = "report") -> list[Path]:
     """Write `name`.md and `name`.html.
 
     Args:
@@ -107,11 +109,8 @@ def _markdown_table(table: Table) -> str:
     def line(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
-    rule = ["---" if table.words or i == 0 else "--:" for i in range(len(table.columns))]
-    rows = [
-        [f"**{cell}**" if i in table.strong and cell else cell for cell in row]
-        for i, row in enumerate(table.rows)
-    ]
+    rule = ["--:" if table.is_numeric(i) else "---" for i in range(len(table.columns))]
+    rows = [[f"**{cell}**" if i in table.strong and cell else cell for cell in row] for i, row in enumerate(table.rows)]
     lines = [line(table.columns), line(rule), *map(line, rows)]
     return "\n".join(lines) + (f"\n\n*{table.caption}*" if table.caption else "")
 
@@ -143,11 +142,13 @@ def _html_block(block: Block) -> str:
 
 
 def _html_table(table: Table) -> str:
-    head = "".join(f"<th>{_inline(column)}</th>" for column in table.columns)
+    kinds = [' class="number"' if table.is_numeric(i) else "" for i in range(len(table.columns))]
+    head = "".join(f"<th{kind}>{_inline(text)}</th>" for kind, text in zip(kinds, table.columns))
     rows = []
     for i, row in enumerate(table.rows):
         mark = ' class="strong"' if i in table.strong else ""
-        rows.append(f"<tr{mark}>" + "".join(f"<td>{_inline(cell)}</td>" for cell in row) + "</tr>")
+        cells = "".join(f"<td{kind}>{_inline(cell)}</td>" for kind, cell in zip(kinds, row))
+        rows.append(f"<tr{mark}>{cells}</tr>")
     caption = f"<figcaption>{_inline(table.caption)}</figcaption>" if table.caption else ""
     kind = ' class="words"' if table.words else ""
     table_html = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
@@ -191,12 +192,11 @@ figure img { width: 100%; height: auto; background: #fff; border: 1px solid var(
 figcaption { color: var(--faint); font-size: .88rem; margin-top: .4rem; max-width: 90ch; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
 table { border-collapse: collapse; width: 100%; font-size: .9rem; font-variant-numeric: tabular-nums; }
-th { text-align: right; white-space: normal; font-weight: 600; color: var(--faint); background: var(--card);
-  vertical-align: bottom; }
+th { text-align: left; font-weight: 600; color: var(--faint); background: var(--card); vertical-align: bottom; }
 th, td { padding: .42rem .65rem; }
-td { text-align: right; white-space: nowrap; border-top: 1px solid var(--line); }
-th:first-child, td:first-child { text-align: left; }
-table.words th, table.words td { text-align: left; white-space: normal; vertical-align: top; }
+td { white-space: nowrap; border-top: 1px solid var(--line); }
+.number { text-align: right; }
+table.words td { white-space: normal; vertical-align: top; }
 table.words td:first-child { white-space: nowrap; }
 tr.strong td { font-weight: 650; background: color-mix(in srgb, var(--accent) 9%, transparent); }
 """.strip()

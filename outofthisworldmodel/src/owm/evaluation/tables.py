@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 from owm.evaluation.flights import TOLERANCES, Flights, rate, score, succeeded
 from owm.evaluation.prediction import PredictionError
 from owm.evaluation.report import Table
+from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 INTERVALS = "brackets: 95 % Wilson intervals"
 
@@ -45,19 +45,20 @@ def docking_table(flights: Sequence[Flights], strong: Sequence[str] = ()) -> Tab
             "policy",
             "flights",
             "1 m, no collision",
-            "0.1 m strict, no collision",
+            "strict, no collision",
             "collided",
             "escaped",
             "timed out",
-            "median s",
-            "median Δv m/s",
-            "least clearance m",
+            "time s",
+            "Δv m/s",
+            "clearance m",
             "ms a decision",
         ],
         rows,
         "1 m: closest approach of the chaser's centre to the hold pose; strict: 0.1 m, 0.5 m/s, 5 deg and "
         f"0.5 deg/s there; {INTERVALS}. A collision is recorded and the flight goes on, but it fails every "
-        "success column. Medians are over the flights of the 1 m column; clearance is the bounding sphere's.",
+        "success column. Time and Δv: medians over the flights of the 1 m column; clearance: the least of "
+        "all.",
         [i for i, each in enumerate(flights) if each.policy in strong],
     )
 
@@ -91,8 +92,7 @@ def definitions_table(flights: Sequence[Flights]) -> Table:
             cells = []
             for each in flights:
                 voided, raw = (
-                    percent(rate(succeeded(each, tolerance, full=full, voided=v)), False)
-                    for v in (True, False)
+                    percent(rate(succeeded(each, tolerance, full=full, voided=v)), False) for v in (True, False)
                 )
                 cells.append(voided if voided == raw else f"{voided} ({raw})")
             rows.append([f"{tolerance:g} m, {'all bounds' if full else 'position only'}", *cells])
@@ -135,9 +135,7 @@ def failures(flights: Sequence[Flights]) -> Table:
     return Table(columns, rows, "Flights that collided or never came within 1 m.")
 
 
-def prediction_table(
-    errors: Sequence[PredictionError], seconds: Sequence[float] = (0.25, 1, 4, 8, 16)
-) -> Table:
+def prediction_table(errors: Sequence[PredictionError], seconds: Sequence[float] = (0.25, 1, 4, 8, 16)) -> Table:
     """Mean position and attitude error of each model at some horizons."""
     rows = []
     for each in errors:
@@ -146,7 +144,7 @@ def prediction_table(
         for step in steps:
             if step in each.horizons:
                 at = each.horizons.index(step)
-                cells.append(f"{each.mean('position_m')[at]:.3f} / {each.mean('attitude_deg')[at]:.2f}")
+                cells.append(f"{each.mean('position_m')[at]:.3f} / {each.mean('attitude_deg')[at]:.3f}")
             else:
                 cells.append("–")
         rows.append([each.name, *cells])
@@ -160,7 +158,8 @@ def to_rich(table: Table, title: str = ""):
 
     drawn = Rich(title=title or None, box=box.SIMPLE_HEAD, title_justify="left", caption_justify="left")
     for i, column in enumerate(table.columns):
-        drawn.add_column(column, justify="left" if i == 0 or table.words else "right", overflow="fold")
+        justify = "right" if table.is_numeric(i) else "left"
+        drawn.add_column(column, justify=justify, overflow="fold", no_wrap=i == 0 and not table.words)
     for i, row in enumerate(table.rows):
         drawn.add_row(*row, style="bold" if i in table.strong else None)
     return drawn

@@ -95,7 +95,7 @@ def load_world_model(path: str | os.PathLike, *, expect: ModelConfig | None = No
     if not (path / "config.json").is_file():
         raise CheckpointError(f"no world model at {path}: config.json is missing")
     try:
-        header = json.loads((path / "config.json").read_text())
+        header = json.loads((path / "config.json").read_text(encoding="utf-8"))
         version, kind, digests = header["format"], header["kind"], header["sha256"]
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise CheckpointError(f"{path / 'config.json'} is damaged: {error!r}") from error

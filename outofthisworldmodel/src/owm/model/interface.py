@@ -46,9 +46,7 @@ class WorldModel(Protocol):
     def step(self, params: PyTree, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Any) -> Any:
         """Predict one step of `dt` under a held action; `key=None` gives the deterministic prediction."""
 
-    def observe(
-        self, params: PyTree, state: Any, action: Float[Array, "6"], observation: Float[Array, "13"]
-    ) -> Any:
+    def observe(self, params: PyTree, state: Any, action: Float[Array, "6"], observation: Float[Array, "13"]) -> Any:
         """Advance by one executed action and the measurement that followed it."""
 
     def decode(self, params: PyTree, state: Any) -> dict[str, Array]:

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_to_rotation_vector
 from jaxtyping import Array, Float
+
+from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_to_rotation_vector
 
 # The same algebra as `astrojax.attitude`, as contractions with constant tables: inside a differentiated scan over a
 # rollout the component-wise form has many times the operations, and compiling them took longer than training.
@@ -101,9 +102,7 @@ def _half_turn(before: Float[Array, "3"], after: Float[Array, "3"], dt: float) -
     return quat_from_rotation_vector(0.25 * dt * (before + after))
 
 
-def advance(
-    motion: Motion, increment: Float[Array, "6"], dt: float, drift: Float[Array, "3"] | float = 0.0
-) -> Motion:
+def advance(motion: Motion, increment: Float[Array, "6"], dt: float, drift: Float[Array, "3"] | float = 0.0) -> Motion:
     """Advance a motion by one step, given by how much velocity and rate change.
 
     Attitude turns by the mean rate, the velocity increment is laid out along the mid-step attitude, position follows by
@@ -130,9 +129,7 @@ def advance(
     )
 
 
-def increments(
-    before: Motion, after: Motion, dt: float, drift: Float[Array, "3"] | float = 0.0
-) -> Float[Array, "6"]:
+def increments(before: Motion, after: Motion, dt: float, drift: Float[Array, "3"] | float = 0.0) -> Float[Array, "6"]:
     """Return the increments that `advance` needs to reach the velocity and rate of `after` (same anchor)."""
     middle = multiply(before.attitude, _half_turn(before.rate, after.rate, dt))
     change = apply_inverse(rotation(middle), after.velocity - before.velocity - drift)

@@ -174,11 +174,9 @@ class Backbone(eqx.Module):
         self.norm = Norm(config.width, dtype)
         self.window = config.window
 
-    def sequence(
-        self, x: Float[Array, "T n d"], valid: Bool[Array, "T"]
-    ) -> tuple[Float[Array, "T n d"], Memory]:
+    def sequence(self, x: Float[Array, "T n d"], valid: Bool[Array, "T"]) -> tuple[Float[Array, "T n d"], Memory]:
         """Run a whole sequence, causally; steps that are not `valid` are seen by nobody but themselves."""
-        steps, tokens, width = x.shape
+        steps, tokens, _ = x.shape
         age = np.arange(steps)[:, None] - np.arange(steps)[None, :]
         visible = jnp.asarray(age == 0) | (jnp.asarray((age > 0) & (age < self.window)) & valid[None, :])
         pairs = []

@@ -35,9 +35,9 @@ class Network(eqx.Module):
 
     def tokens(self, state: Float[Array, "*t n f"], action: Float[Array, "*t 6"]) -> Float[Array, "*t n+1 d"]:
         """Return the token vector of a step: the stream's tokens, then the action's."""
-        return jnp.concatenate(
-            [self.state_encoder(state), self.action_encoder(action)[..., None, :]], axis=-2
-        ) + self.kind
+        return (
+            jnp.concatenate([self.state_encoder(state), self.action_encoder(action)[..., None, :]], axis=-2) + self.kind
+        )
 
 
 class Params(NamedTuple):
@@ -48,7 +48,7 @@ class Params(NamedTuple):
 
 
 class ModelState(NamedTuple):
-    """Where a prediction stands: the stream's carry at the current step, and what attention remembers of earlier ones."""
+    """Where a prediction stands: the carry at the current step, and what attention remembers of earlier ones."""
 
     carry: Any
     memory: Memory
@@ -56,7 +56,7 @@ class ModelState(NamedTuple):
 
 @dataclass(frozen=True)
 class LearnedWorldModel:
-    """A world model for one configuration; two of equal configuration are equal, so one compiled planner serves both."""
+    """A trained world model; two of one configuration compare equal, so one compiled planner serves both."""
 
     config: ModelConfig
     params: Params = field(compare=False, repr=False)
@@ -105,7 +105,7 @@ class LearnedWorldModel:
     def step(
         self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
     ) -> ModelState:
-        """Predict one step of `dt`; with a key the flow starts from noise (see `FlowHead` on what that spread is worth)."""
+        """Predict one step of `dt`; with a key the flow starts from noise (`FlowHead` says what that is worth)."""
         action = _cast(params, action)
         output, memory = self.attend(params, action, state)
         residual = params.network.head.sample(key, output, self.stream.residual)

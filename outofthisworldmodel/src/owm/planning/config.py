@@ -4,7 +4,6 @@ from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
-from owm_envs.config import unknown
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -14,6 +13,8 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+
+from owm_envs.config import unknown
 
 Objective = Literal["geodesic", "straight", "plain"]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

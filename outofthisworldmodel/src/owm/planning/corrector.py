@@ -8,8 +8,9 @@ the model.
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from astrojax.attitude import quat_from_rotation_vector, quat_multiply
 from jaxtyping import Array, Float
+
+from astrojax.attitude import quat_from_rotation_vector, quat_multiply
 
 
 class Correction(NamedTuple):

@@ -2,11 +2,11 @@
 
 import jax
 import jax.numpy as jnp
-from astrojax.attitude import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from jaxtyping import Array, Bool, Float, Int
-from owm_envs.geodesic import GeodesicField, clearance, cost_to_go
 
+from astrojax.attitude import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from owm.planning.config import Weights
+from owm_envs.geodesic import GeodesicField, clearance, cost_to_go
 
 
 def _safe_norm(vector: Float[Array, "3"]) -> Float[Array, ""]:
@@ -86,9 +86,9 @@ def sequence_cost(
 
     Other arguments as for `step_cost`, one row a step.
     """
-    costs, gaps = jax.vmap(
-        lambda view, effort: step_cost(objective, weights, field, port, goal, view, effort)
-    )(views, efforts)
+    costs, gaps = jax.vmap(lambda view, effort: step_cost(objective, weights, field, port, goal, view, effort))(
+        views, efforts
+    )
     steps = costs.shape[0]
     touches = (gaps < 0) & clear
     touched = jnp.any(touches)

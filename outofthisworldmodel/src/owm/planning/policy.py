@@ -7,14 +7,14 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from owm_envs.config import DockingConfig
-from owm_envs.env import DockingEnv
-from owm_envs.geodesic import GeodesicField
-from owm_envs.station import PORT_NAMES, goal_poses
 
 from owm.model.interface import History, WorldModel
 from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, init_planner, plan
+from owm_envs.config import DockingConfig
+from owm_envs.env import DockingEnv
+from owm_envs.geodesic import GeodesicField
+from owm_envs.station import PORT_NAMES, goal_poses
 
 
 class SlotStates(NamedTuple):
@@ -107,9 +107,7 @@ class PlannerPolicy:
             planner=jax.tree.map(lambda x: np.repeat(x[None], slots, axis=0), planner),
         )
 
-    def reset(
-        self, mask: Bool[np.ndarray, "B"] | None = None, ports: Int[np.ndarray, "B"] | None = None
-    ) -> None:
+    def reset(self, mask: Bool[np.ndarray, "B"] | None = None, ports: Int[np.ndarray, "B"] | None = None) -> None:
         """Announce new episodes: their slots forget everything and start afresh at the next `predict`.
 
         Args:
@@ -131,14 +129,10 @@ class PlannerPolicy:
                 raise ValueError(f"ports must have shape {expected}, got {ports.shape}")
             wanted = ports[mask]
             if not np.isin(wanted, np.arange(len(PORT_NAMES))).all():
-                raise ValueError(
-                    f"ports must be indices from 0 to {len(PORT_NAMES) - 1}, got {wanted.tolist()}"
-                )
+                raise ValueError(f"ports must be indices from 0 to {len(PORT_NAMES) - 1}, got {wanted.tolist()}")
             missing = {PORT_NAMES[port] for port in wanted if self._rows[port] < 0}
             if missing:
-                raise ValueError(
-                    f"the geodesic field does not cover {', '.join(sorted(missing))}: load it for them"
-                )
+                raise ValueError(f"the geodesic field does not cover {', '.join(sorted(missing))}: load it for them")
             known = np.zeros(expected, np.int32) if self._ports is None else self._ports
             if self._ports is None and not mask.all():
                 raise ValueError("the first reset must start every slot")

@@ -65,9 +65,7 @@ class TrainConfig(BaseModel):
 
 
 PRESETS: dict[str, TrainConfig] = {
-    "ci": TrainConfig(
-        steps=400, warmup=50, rollouts=((1.0, 16),), save_every=200, chunk=50, validation_windows=128
-    ),
+    "ci": TrainConfig(steps=400, warmup=50, rollouts=((1.0, 16),), save_every=200, chunk=50, validation_windows=128),
     "nano": TrainConfig(),
     "small": TrainConfig(model=MODELS["small"], steps=20_000, rollouts=((0.4, 16), (0.8, 32), (1.0, 64))),
     "paper": TrainConfig(

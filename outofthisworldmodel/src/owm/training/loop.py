@@ -88,7 +88,7 @@ def train(
     metrics = out / "metrics.jsonl"
     if (out / "model").exists():
         model = load_world_model(out / "model", expect=config.model)
-        about = json.loads((out / "model" / "config.json").read_text())["about"]
+        about = json.loads((out / "model" / "config.json").read_text(encoding="utf-8"))["about"]
         return TrainResult(model, about["score"], about["step"], out / "model", metrics)
 
     console = Console() if console is None else console
@@ -98,9 +98,7 @@ def train(
     rows = (jnp.asarray(episodes_train.observation), jnp.asarray(episodes_train.action))
     history = config.model.history_length
     starts = {depth: jnp.asarray(episodes_train.starts(history + depth)) for _, depth in config.rollouts}
-    validation = episodes_val.windows(
-        history + config.validation_horizon, config.validation_windows, seed=config.seed
-    )
+    validation = episodes_val.windows(history + config.validation_horizon, config.validation_windows, seed=config.seed)
     options = ocp.CheckpointManagerOptions(max_to_keep=1, enable_async_checkpointing=False, create=True)
     with ocp.CheckpointManager((out / "state").absolute(), options=options) as manager:
         state = _restore(manager, initial_state(config, dtype))
@@ -195,7 +193,7 @@ def _claim(out: Path, fingerprint: dict[str, Any]) -> None:
     """Mark the directory as this run's, or refuse it."""
     file = out / "run.json"
     if file.exists():
-        found = json.loads(file.read_text())
+        found = json.loads(file.read_text(encoding="utf-8"))
         if found != fingerprint:
             parts = [part for part in fingerprint if found.get(part) != fingerprint[part]]
             raise ValueError(
@@ -206,7 +204,7 @@ def _claim(out: Path, fingerprint: dict[str, Any]) -> None:
     if (out / "state").exists() or (out / "model").exists():
         raise CheckpointError(f"{out} holds a state or model without run.json: start over with resume=False")
     fresh = out / "run.json.writing"
-    fresh.write_text(json.dumps(fingerprint, indent=1) + "\n")
+    fresh.write_text(json.dumps(fingerprint, indent=1) + "\n", encoding="utf-8")
     os.replace(fresh, file)
 
 
@@ -218,7 +216,7 @@ def _restore(manager: ocp.CheckpointManager, state: TrainState) -> TrainState:
 
 
 def _append(file: Path, line: dict[str, Any]) -> None:
-    with file.open("a") as stream:
+    with file.open("a", encoding="utf-8") as stream:
         stream.write(json.dumps(line) + "\n")
 
 
@@ -227,13 +225,13 @@ def _truncate(file: Path, step: int) -> None:
     if not file.exists():
         return
     kept = []
-    for text in file.read_text().splitlines():
+    for text in file.read_text(encoding="utf-8").splitlines():
         try:
             if json.loads(text)["step"] <= step:
                 kept.append(text)
         except (json.JSONDecodeError, KeyError):
             break  # a line cut short by the kill
-    file.write_text("".join(text + "\n" for text in kept))
+    file.write_text("".join(text + "\n" for text in kept), encoding="utf-8")
 
 
 def _remove(path: Path) -> None:

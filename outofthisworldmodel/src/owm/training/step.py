@@ -104,7 +104,7 @@ def train_chunk(
 
         gradient, losses = jax.grad(objective, has_aux=True)(network)
         updates, optimizer = make_optimizer(config).update(gradient, optimizer, network)
-        return (optax.apply_updates(network, updates), optimizer), (losses, optax.global_norm(gradient))
+        return (optax.apply_updates(network, updates), optimizer), (losses, optax.tree.norm(gradient))
 
     steps = step + jnp.arange(count, dtype=jnp.int32)
     (network, optimizer), (losses, norms) = jax.lax.scan(one_step, (network, optimizer), steps)

@@ -1,0 +1,119 @@
+import json
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import pytest
+
+from owm import cli
+from owm.baselines.least_squares import LeastSquares
+from owm.evaluation.docking import evaluation_config
+from owm.model.checkpoint import save_world_model
+from owm.model.linear import LinearMap
+from owm.policies import GIVEN, NAMES, kind_of, load_model
+
+
+def python(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+
+
+def test_help_imports_nothing_heavy():
+    done = python(
+        "import sys\nfrom owm.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit as stop:\n"
+        "    assert stop.code in (0, None)\n"
+        "print([m for m in ('jax', 'matplotlib', 'gymnasium', 'equinox', 'pyarrow', 'cv2') if m in sys.modules])"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "[]"
+    for command in ("fly", "evaluate", "train", "demo"):
+        assert command in done.stdout
+
+
+def test_importing_changes_no_jax_setting():
+    done = python(
+        "import os, jax\nbefore = dict(jax.config.values)\nenviron = dict(os.environ)\nimport owm, owm.cli\n"
+        "import owm.commands, owm.demo\nafter = dict(jax.config.values)\n"
+        "print(sorted(k for k in after if before.get(k, None) != after[k] and k in before))\n"
+        "print(environ == dict(os.environ))"
+    )
+    assert done.stdout.splitlines() == ["[]", "True"], done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["fly", "--policy", "dokc"], "did you mean 'dock'?"),
+        (["fly", "--policy", "least-squares"], "needs a fit"),
+        (["fly", "--policy", "runs/none/model"], "no checkpoint at 'runs/none/model'"),
+        (["fly", "--port", "zvezda"], "did you mean 'zvezda_aft'?"),
+        (["fly", "--noise", "coop"], "did you mean 'cooperative'?"),
+        (["fly", "--env", "iss2"], "'iss', 'iss-hcw' or 'iss-numerical'"),
+        (["fly", "--flights", "0"], "got 0"),
+        (["evaluate", "docking"], "at least one policy"),
+        (["evaluate", "docking", "dock", "--slots", "0"], "slots must be at least 1"),
+        (["evaluate", "prediction", "oracle-mppi", "--data", "none"], "no dataset at none"),
+        (["train", "--data", "none", "--out", "x"], "no dataset at none"),
+    ],
+)
+def test_mistakes_end_with_code_2_and_one_line(arguments, message, capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    with pytest.raises(SystemExit) as stop:
+        cli.main(arguments)
+    error = capfd.readouterr().err
+    assert stop.value.code == 2 and message in error and "Traceback" not in error
+    assert error.strip().splitlines()[-1].startswith("error: ")
+
+
+def test_unknown_flags_end_with_code_2(capfd):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["fly", "--sedd", "1"])
+    assert stop.value.code == 2 and "--seed" in capfd.readouterr().err
+
+
+def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
+    import owm.commands
+
+    seen = []
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(owm.commands, "train", lambda data, out, config: seen.append((data, out, config)))
+    cli.main(["train", "--data", "d", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64"])
+    config = seen[0][2]
+    assert (config.steps, config.batch, config.model.width) == (400, 7, 64)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"kind": "constant_velocity"}'])
+def test_folders_that_hold_no_policy_are_named(content, tmp_path):
+    (tmp_path / "config.json").write_text(content)
+    with pytest.raises(ValueError, match=r"not a checkpoint|no policy"):
+        kind_of(str(tmp_path))
+
+
+def test_every_policy_says_what_it_was_given():
+    assert set(NAMES) <= set(GIVEN) and {"world model", "least-squares"} <= set(GIVEN)
+    with pytest.raises(ValueError, match="no world model"):
+        load_model("dock", None)
+
+
+def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    out = tmp_path / "fly"
+    cli.main(["fly", "--policy", "dock", "--port", "unity_nadir", "--env", "iss", "--plot", "--out", str(out)])
+    assert (out / "dock_unity_nadir.png").read_bytes()[:4] == b"\x89PNG"
+    scores = json.loads((out / "scores.json").read_text())
+    assert scores["dock"]["scores"]["all"]["docked"]["count"] == 1
+    told = capfd.readouterr()
+    assert "dock to unity_nadir" in told.out and "compiling" in told.err
+
+
+def test_models_are_found_by_name_and_by_folder(tmp_path):
+    linear = LinearMap(*(jnp.zeros(shape, jnp.float32) for shape in ((6, 6), (6,), (3, 6))))
+    save_world_model(LeastSquares(linear), tmp_path / "run" / "model")
+    config = evaluation_config(fidelity="iss", precision="float32")
+    for folder in (tmp_path / "run", tmp_path / "run" / "model"):
+        assert kind_of(str(folder)) == "least-squares"
+        assert isinstance(load_model(str(folder), config), LeastSquares)
+    assert load_model("oracle-mppi", config).fidelity == "iss"
+    (tmp_path / "run" / "model" / "weights.safetensors").write_bytes(b"cut")
+    with pytest.raises(ValueError, match="damaged"):
+        load_model(str(tmp_path / "run"), config)
