@@ -83,7 +83,6 @@ def test_the_report_tells_what_was_given_what_failed_and_how_it_was_run(tmp_path
         checks=check(predictions, rows[0]),
         seconds={"corpus": 12.0, "training": 30.0},
         resumed=["corpus"],
-        total_seconds=40.0,
         peak_memory=1.5e9,
     )
     markdown, page = (path.read_text(encoding="utf-8") for path in write_demo_report(results))

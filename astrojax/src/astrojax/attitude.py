@@ -170,7 +170,7 @@ def accel_euler(omega: Vector3, inertia: Matrix3, torque: Vector3) -> Vector3:
         torque: (3,) [N m].
 
     Source: Euler's equations; Markley and Crassidis, Fundamentals of Spacecraft Attitude Determination and
-    Control, eq. 3.147.
+    Control, sec. 3.3.
     """
     # Scaled by the trace: products of three inertias leave the range of float32 when differentiated.
     inv_scale = 1.0 / (inertia[0, 0] + inertia[1, 1] + inertia[2, 2])
@@ -188,7 +188,7 @@ def torque_gravity_gradient(r_body: Vector3, inertia: Matrix3, gm: Scalar = GM_E
         inertia: (3, 3) inertia about the centre of mass [kg m^2].
         gm: gravitational parameter [m^3/s^2].
 
-    Source: Markley and Crassidis, Fundamentals of Spacecraft Attitude Determination and Control, eq. 3.155.
+    Source: Markley and Crassidis, Fundamentals of Spacecraft Attitude Determination and Control, sec. 3.3.
     """
     inv_r = inverse_norm(r_body)
     u = r_body * inv_r

@@ -17,7 +17,7 @@ def accel_drag(r: Vector3, v: Vector3, density: Scalar, mass: Scalar, area: Scal
         area: cross-section across the flow [m^2].
         cd: drag coefficient.
 
-    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.5, eqs. 3.97 and 3.98.
+    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.5.
     """
     wind = jnp.stack([v[0] + OMEGA_EARTH * r[1], v[1] - OMEGA_EARTH * r[0], v[2]])
     return (-0.5 * cd * area / mass * density * safe_sqrt(dot(wind, wind))) * wind

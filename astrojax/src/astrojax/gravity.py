@@ -31,7 +31,7 @@ def accel_zonal(r: Vector3, degree: int = 4) -> Vector3:
     Validity: outside the Earth.
     Raises: ValueError, `degree` is not an integer from 0 to 6.
 
-    Source: gradient of U = -gm/r sum J_n (R/r)^n P_n(z/r) (Montenbruck and Gill, Satellite Orbits, eq. 3.11),
+    Source: gradient of U = -gm/r sum J_n (R/r)^n P_n(z/r) (Montenbruck and Gill, Satellite Orbits, sec. 3.2),
     with (n+1) P_n + u P'_n = P'_(n+1) and the recursion of the derivatives n P'_(n+1) = (2n+1) u P'_n -
     (n+1) P'_(n-1). Coefficients: see `constants`.
     """

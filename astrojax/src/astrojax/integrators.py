@@ -19,7 +19,7 @@ def rk4_step(f: Callable[..., PyTree], t: Scalar, y: PyTree, dt: Scalar, *args: 
         dt: step [s], either sign.
         args: handed to `f` unchanged.
 
-    Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, sec. II.1, Table 1.2.
+    Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, sec. II.1.
     """
 
     def ahead(k: PyTree, h: Scalar) -> PyTree:

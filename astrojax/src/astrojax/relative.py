@@ -15,7 +15,7 @@ def rotation_eci_to_rtn(state: Vector6) -> Matrix3:
     Args:
         state: (6,) inertial position and velocity [m, m/s], not parallel.
 
-    Source: Alfriend et al., Spacecraft Formation Flying, sec. 2.
+    Source: Alfriend et al., Spacecraft Formation Flying (2010), ch. 2.
     """
     r, v = state[:3], state[3:]
     radial = r * inverse_norm(r)
@@ -32,7 +32,7 @@ def rtn_rate(state: Vector6, accel: Vector3) -> Vector3:
         accel: (3,) its total inertial acceleration [m/s^2]; only the part along N matters. That part turns
             the orbit plane: (r a_N / h) about R, which brahe and the Keplerian frame leave out.
 
-    Source: Gauss's variational equations for the plane; Alfriend et al., Spacecraft Formation Flying, sec. 4.
+    Source: Gauss's variational equations for the plane; Alfriend et al., Spacecraft Formation Flying (2010).
     """
     r, v = state[:3], state[3:]
     h = cross(r, v)
@@ -97,7 +97,7 @@ def stm_hcw(n: Scalar, dt: Scalar) -> Float[Array, "6 6"]:
         n: mean motion [rad/s]; zero gives free drift, with finite gradients.
         dt: seconds, either sign.
 
-    Source: closed-form solution, Alfriend et al., Spacecraft Formation Flying, sec. 5; its differences such
+    Source: closed-form solution, Alfriend et al., Spacecraft Formation Flying (2010), ch. 5; its differences such
     as n t - sin(n t), which cancel for short steps, are summed as series.
     """
     dtype = jnp.result_type(n, dt, 1.0)

@@ -16,8 +16,8 @@ def accel_third_body(r: Vector3, r_body: Vector3, gm_body: Scalar) -> Vector3:
     Validity: any |r| < |r_body|; the two terms, equal to four digits for the Sun, are never subtracted, so
     float32 keeps its full relative accuracy.
 
-    Source: Battin, An Introduction to the Mathematics and Methods of Astrodynamics, rev. ed., sec. 8.6,
-    eqs. 8.60 to 8.62 (the function f(q)).
+    Source: Battin, An Introduction to the Mathematics and Methods of Astrodynamics, rev. ed.,
+    ch. 8 (the function f(q)).
     """
     inv_d = inverse_norm(r_body)
     # Scaled by the body's distance: the bare powers of 1.5e11 m leave the range of float32.

@@ -89,10 +89,9 @@ def gmst(day: Scalar, seconds: Scalar) -> FloatScalar:
         day: whole MJD, UTC.
         seconds: seconds of day [s], UTC.
 
-    Validity: the IAU 2006 expression to 1e-10 rad in float64 (2e-6 rad in float32) at UT1 = UTC.
+    Validity: the IAU 2006 expression to 1e-12 rad in float64 (2e-6 rad in float32) at UT1 = UTC.
 
-    Source: Earth rotation angle, IERS Conventions (2010), TN 36, eq. 5.15; GMST minus that angle, Capitaine,
-    Wallace and Chapront (2003), A&A 412, 567, as in TN 36 eq. 5.32.
+    Source: IERS Conventions (2010), TN 36, sec. 5.5: the Earth rotation angle (eq. 5.15) and GMST (eq. 5.32).
     """
     dtype = _epoch_dtype(day, seconds)
     seconds = jnp.asarray(seconds, dtype)

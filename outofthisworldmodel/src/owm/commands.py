@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -145,6 +146,8 @@ def evaluate_docking(
     if slots < 1:
         raise ValueError(f"slots must be at least 1, got {slots}")
     flown = [fly_named(policy, config, seeds, index, seed=seed, slots=slots) for policy in policies]
+    if len({each.policy for each in flown}) < len(flown):
+        flown = [replace(each, policy=policy) for policy, each in zip(policies, flown)]
     starts = check_identical_starts(flown)
     files = write_results({each.policy: each for each in flown}, out)
     for policy, each in zip(policies, flown):

@@ -48,8 +48,8 @@ class Results:
     checks: dict[str, bool]
     seconds: dict[str, float]
     resumed: list[str]
-    total_seconds: float
-    peak_memory: float | None
+    peak_memory: float
+    """Bytes; 0 where the system does not tell."""
 
 
 # From the paper's section on results; a flight is a success within 1 m with no collision.
@@ -279,7 +279,7 @@ def _run(results: Results) -> list[Block]:
     ]
     known = sum(results.seconds.values())
     rows.append(["all stages", f"{known:.0f}", ""])
-    memory = "not measured on this system" if results.peak_memory is None else f"{results.peak_memory / 1e9:.2f} GB"
+    memory = f"{results.peak_memory / 1e9:.2f} GB" if results.peak_memory else "not measured on this system"
     packages = ("jax", "jaxlib", "numpy", "gymnasium", "equinox", "optax", "matplotlib")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
     folder, size = results.folder.as_posix(), results.size

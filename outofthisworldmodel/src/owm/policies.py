@@ -108,7 +108,7 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
     from owm_envs.geodesic import load_field
 
     made = PlannerPolicy(load_model(policy, config), load_field(), env, planner, num_slots, seed)
-    made.name = kind if kind == policy else f"{kind} {policy}"
+    made.name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
     return made
 
 

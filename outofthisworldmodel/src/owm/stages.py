@@ -28,6 +28,7 @@ class Stages:
     Attributes:
         resumed: names of the stages that were found done.
         seconds: wall time of each stage when it was run.
+        peak: largest resident size of the processes that ran them, bytes; 0 where the system does not tell.
 
     Raises:
         FileExistsError: the folder holds something else.
@@ -37,6 +38,7 @@ class Stages:
         self.folder = folder
         self.resumed: list[str] = []
         self.seconds: dict[str, float] = {}
+        self.peak = 0.0
         digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
         found = self._read(_STATE)
         if folder.exists() and any(folder.iterdir()) and found is None:
@@ -64,9 +66,10 @@ class Stages:
         else:
             began = time.perf_counter()
             facts = work()
-            found = {"seconds": time.perf_counter() - began, "facts": facts}
+            found = {"seconds": time.perf_counter() - began, "peak": peak_memory() or 0.0, "facts": facts}
             self._put(marker, found)
         self.seconds[name] = found["seconds"]
+        self.peak = max(self.peak, found["peak"])
         return found["facts"]
 
     def claim(self, *names: str) -> None:

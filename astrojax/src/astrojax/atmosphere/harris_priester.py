@@ -82,8 +82,8 @@ def geodetic_height(r: Vector3) -> FloatScalar:
 
     Validity: within 0.1 m from the ground to 2000 km; smooth at the poles, no iteration, no trigonometry.
 
-    Source: expansion of the ellipsoid radius and of the foot point's offset, Long et al., Goddard Trajectory
-    Determination System (1989), sec. 3.3; checked in the tests against ERFA's gc2gd.
+    Source: the ellipsoid's radius at the geocentric latitude, r - a (1 - f s^2 - ...), and the foot point's
+    offset from it, expanded in f; the tests hold it against brahe's iterative conversion.
     """
     inv_r = inverse_norm(r)
     s2 = (r[2] * inv_r) ** 2
@@ -104,7 +104,7 @@ def density_harris_priester(r: Vector3, r_sun: Vector3, exponent: Scalar = 6) ->
     exponential goes on to sea level and stays there (1.7 kg/m^3, against 1.2 in truth), so that a descending
     vehicle always brakes. Gradients are finite everywhere.
 
-    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.5.2, eqs. 3.103 to 3.106 and Table 3.3.
+    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.5.2 and its table of coefficients.
     """
     height = geodetic_height(r)
     layer_float = (height - _FLOOR) / _LAYER

@@ -159,7 +159,9 @@ def to_rich(table: Table, title: str = ""):
     drawn = Rich(title=title or None, box=box.SIMPLE_HEAD, title_justify="left", caption_justify="left")
     for i, column in enumerate(table.columns):
         justify = "right" if table.is_numeric(i) else "left"
-        drawn.add_column(column, justify=justify, overflow="fold", no_wrap=i == 0 and not table.words)
+        cells = [column.split(), *([row[i]] for row in table.rows if i == 0)]
+        width = max(len(word) for words in cells for word in words)
+        drawn.add_column(column, justify=justify, overflow="fold", min_width=width)
     for i, row in enumerate(table.rows):
         drawn.add_row(*row, style="bold" if i in table.strong else None)
     return drawn

@@ -23,27 +23,34 @@ class Losses(NamedTuple):
 
 
 class Draws(NamedTuple):
-    """The random numbers of one window.
+    """The random numbers of one window, all but the noise uniform on [0, 1).
 
     Attributes:
-        level: noise levels of the flow loss, uniform on [0, 1].
+        start: which window.
+        context: how much of its history the model may see.
+        level: noise levels of the flow loss.
         noise: its noise, standard normal.
-        coin: uniform on [0, 1]; a step whose coin is below the teacher probability continues from the measurement.
+        coin: a step whose coin is below the teacher probability continues from the measurement.
     """
 
+    start: Float[Array, ""]
+    context: Float[Array, ""]
     level: Float[Array, "L-1"]
     noise: Float[Array, "L-1 n r"]
     coin: Float[Array, "F"]
 
 
 def draw(key: Key[Array, ""], batch: int, steps: int, depth: int, stream: Any, dtype: jnp.dtype) -> Draws:
-    """Draw for a whole batch at once, which compiles to far less than drawing inside the rollout."""
-    k_level, k_noise, k_coin = jax.random.split(key, 3)
-    return Draws(
-        jax.random.uniform(k_level, (batch, steps), dtype),
-        jax.random.normal(k_noise, (batch, steps, stream.tokens, stream.residual), dtype),
-        jax.random.uniform(k_coin, (batch, depth), dtype),
-    )
+    """Draw for a whole batch in two calls, which compiles to far less than drawing where the numbers are used."""
+    k_uniform, k_noise = jax.random.split(key)
+    uniform = jax.random.uniform(k_uniform, (batch, 2 + steps + depth), dtype)
+    noise = jax.random.normal(k_noise, (batch, steps, stream.tokens, stream.residual), dtype)
+    return Draws(uniform[:, 0], uniform[:, 1], uniform[:, 2 : 2 + steps], noise, uniform[:, 2 + steps :])
+
+
+def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
+    """Turn uniform numbers into integers below `count`."""
+    return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
 def window_losses(
@@ -82,6 +89,9 @@ def window_losses(
         carry = stream.advance(statistics, carry, residual, action, dt)
         return ModelState(carry, memory), (output, stream.decode_loss(carry, after))
 
+    # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
+    # while compiling.
+    advance = jax.checkpoint(advance, prevent_cse=False)
     rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, after))
     _, (ahead, decode) = jax.lax.scan(advance, state, (draws.coin, *rolled))
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int, PyTree
 from owm.model.stream import Statistics
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.training.config import TrainConfig
-from owm.training.loss import Losses, draw, window_losses
+from owm.training.loss import Losses, draw, pick, window_losses
 
 
 class TrainState(NamedTuple):
@@ -38,6 +38,7 @@ def make_optimizer(config: TrainConfig) -> optax.GradientTransformation:
     )
 
 
+@partial(jax.jit, static_argnames=("config", "dtype"))
 def initial_state(config: TrainConfig, dtype: jnp.dtype = jnp.float32) -> TrainState:
     """Return the state before the first step."""
     network = Network(config.model, key=jax.random.key(config.seed), dtype=dtype)
@@ -45,7 +46,7 @@ def initial_state(config: TrainConfig, dtype: jnp.dtype = jnp.float32) -> TrainS
         step=jnp.zeros((), jnp.int32),
         network=network,
         optimizer=make_optimizer(config).init(network),
-        best_network=jax.tree.map(jnp.copy, network),
+        best_network=network,
         best_score=jnp.full((), jnp.inf, dtype),
         best_step=jnp.zeros((), jnp.int32),
     )
@@ -86,13 +87,11 @@ def train_chunk(
     def one_step(carry: tuple[Network, PyTree], step: Array) -> tuple[tuple[Network, PyTree], tuple[Losses, Array]]:
         network, optimizer = carry
         key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
-        k_start, k_context, k_loss = jax.random.split(key, 3)
-        first = starts[jax.random.randint(k_start, (config.batch,), 0, starts.shape[0], jnp.int32)]
-        index = first[:, None] + jnp.arange(length, dtype=jnp.int32)
-        context = jax.random.randint(k_context, (config.batch,), 1, history + 1, jnp.int32)
+        draws = draw(key, config.batch, length - 1, depth, model.stream, observation.dtype)
+        index = starts[pick(draws.start, starts.shape[0])][:, None] + jnp.arange(length, dtype=jnp.int32)
         # Half of all windows have the whole history, as nearly every prediction in flight does.
-        context = jnp.where(jnp.arange(config.batch) % 2 == 0, history, context)
-        draws = draw(k_loss, config.batch, length - 1, depth, model.stream, observation.dtype)
+        whole = jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0
+        context = jnp.where(whole, history, 1 + pick(draws.context, history))
         teacher = jnp.clip(1.0 - step / max(config.teacher * config.steps, 1.0), 0.0, 1.0).astype(observation.dtype)
 
         def objective(network: Network) -> tuple[Array, Losses]:
