@@ -111,14 +111,14 @@ def test_keplerian_propagation_against_integration(x64):
 
 @pytest.mark.parametrize("degree", [0, 2, 3, 4, 5, 6])
 def test_zonal_gravity_against_brahe(degree, rng, x64):
-    """Two-body plus zonal within 1e-14 m/s2."""
+    """Two-body plus zonal within 2e-14 m/s2 (of 9)."""
     positions = random_positions(rng, 50)
 
     def ours(r):
         return gravity.accel_two_body(r) + gravity.accel_zonal(r, degree)
 
     expected = [brahe.accel_earth_zonal_gravity(r, degree) for r in positions]
-    np.testing.assert_allclose(jax.jit(jax.vmap(ours))(jnp.asarray(positions)), expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(jax.jit(jax.vmap(ours))(jnp.asarray(positions)), expected, rtol=0, atol=2e-14)
 
 
 @pytest.mark.parametrize("degree", [7, -1, True])

@@ -23,7 +23,9 @@ def brute_force(start, end, boxes, samples=4001):
 
 
 @settings(max_examples=60, deadline=None)
-@given(start=points, travel=st.tuples(*[st.floats(-30, 30)] * 3), corner=points, size=st.tuples(*[st.floats(0.01, 9)] * 3))
+@given(
+    start=points, travel=st.tuples(*[st.floats(-30, 30)] * 3), corner=points, size=st.tuples(*[st.floats(0.01, 9)] * 3)
+)
 def test_one_box_against_a_sampled_segment(start, travel, corner, size):
     with jax.enable_x64(True):
         start, end = np.array(start), np.add(start, travel)

@@ -1,11 +1,13 @@
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply
 from astrojax.constants import GM_EARTH
 from astrojax.relative import stm_hcw
-
 from owm_envs.config import FIDELITIES
 from owm_envs.dynamics.numerical import RTN_TO_STATION
 
@@ -19,7 +21,7 @@ ORBITAL = [f for f in FIDELITIES if f != "iss"]
 def flight(x64, docking):
     """Drifts a view for so many steps under a wrench and returns every relative view, the first included."""
 
-    def fly(view, wrench=np.zeros(6), steps=20, dt=0.05, **overrides):
+    def fly(view, wrench=(0.0,) * 6, steps=20, dt=0.05, **overrides):
         env, params, *_ = docking(**overrides)
         dynamics = env.dynamics
         epoch = params.chief.epoch + jnp.asarray([2.0, 1234.5])
@@ -57,7 +59,7 @@ def test_velocity_and_rate_are_the_derivatives_of_position_and_attitude(flight, 
     views = flight(VIEW, wrench=[800, -600, 400, 500, 300, -200], dt=dt, fidelity=fidelity)
     moved = (views[2:, :3] - views[:-2, :3]) / (2 * dt)
     np.testing.assert_allclose(moved, views[1:-1, 3:6], atol=1e-5)
-    for before, after in zip(views[:-1], views[1:]):
+    for before, after in itertools.pairwise(views):
         mean_rate = (before[10:] + after[10:]) / 2
         turned = quat_multiply(jnp.asarray(before[6:10]), quat_from_rotation_vector(jnp.asarray(mean_rate * dt)))
         assert apart(after[6:10], turned) < 1e-8

@@ -80,9 +80,7 @@ def test_empty_space_gives_the_straight_distance():
 
 def test_side_shell_makes_one_come_in_by_the_cone():
     field = solve_field(EMPTY, np.zeros((1, 3)), UP)
-    front, beside = look_up(field, 0, jnp.asarray([[0.0, -30.0, 0.0], [0.0, 30.0, 0.0]], dtype=jnp.float32))[
-        0
-    ]
+    front, beside = look_up(field, 0, jnp.asarray([[0.0, -30.0, 0.0], [0.0, 30.0, 0.0]], dtype=jnp.float32))[0]
     np.testing.assert_allclose(front, 30.0, atol=0.1)
     # No dearer than straight through the shell, or around it to the rim of the cone; much dearer than 30 m.
     through = 18.0 + 9.0 / 0.3 + 3.0
@@ -102,9 +100,7 @@ def test_behind_a_wall_the_way_is_around_it(walled):
 
 
 def test_clearance_is_the_distance_of_the_sphere_to_the_hull(walled):
-    places = np.array(
-        [[0.0, -8.0, 0.0], [25.0, 1.0, 0.0], [0.0, 1.0, 3.0], [0.0, 90.0, 0.0], [900.0, 0.0, 0.0]]
-    )
+    places = np.array([[0.0, -8.0, 0.0], [25.0, 1.0, 0.0], [0.0, 1.0, 3.0], [0.0, 90.0, 0.0], [900.0, 0.0, 0.0]])
     found = np.asarray(look_up_clearance(walled, jnp.asarray(places, jnp.float32)))
     np.testing.assert_allclose(found[:2], (8.0 - 2.25, 5.0 - 2.25), atol=0.1)
     assert found[2] < -2.25

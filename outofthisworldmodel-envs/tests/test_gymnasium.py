@@ -247,5 +247,5 @@ def test_the_pinned_trajectory(fidelity):
     env = gymnasium.make(IDS_OF[fidelity], noise="cooperative")
     env.reset(seed=42)
     for _ in range(40):
-        observation, *_, info = env.step(ACTION)
+        *_, info = env.step(ACTION)
     np.testing.assert_allclose(info["true_state"], PINNED[fidelity], rtol=0, atol=1e-7)

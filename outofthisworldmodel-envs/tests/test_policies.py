@@ -5,7 +5,8 @@ import pytest
 
 from owm_envs.datasets.schema import POLICY_NAMES
 from owm_envs.env import DockingEnv
-from owm_envs.policies import VectorPolicy, make_policy, pointing_error, read_view
+from owm_envs.policies import VectorPolicy, make_policy
+from owm_envs.policies.scripted import pointing_error, read_view
 from owm_envs.rollout import rollout
 from owm_envs.station import PORTS, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome

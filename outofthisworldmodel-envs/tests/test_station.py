@@ -73,9 +73,7 @@ def test_ports_are_split_five_to_three_in_canonical_order():
 
 @pytest.mark.parametrize(("typed", "nearest"), [("zvezda_aff", "zvezda_aft"), ("Unity-nadir", "unity_nadir")])
 def test_unknown_port_names_the_nearest(typed, nearest):
-    with pytest.raises(
-        ValueError, match=f"unknown port '{typed}'; did you mean '{nearest}'.*known: .*pirs_nadir"
-    ):
+    with pytest.raises(ValueError, match=f"unknown port '{typed}'; did you mean '{nearest}'.*known: .*pirs_nadir"):
         port_index(typed)
 
 

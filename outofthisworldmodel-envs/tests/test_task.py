@@ -2,11 +2,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_rotate
 
+from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm_envs.config import REWARD_PRESETS, load_config
 from owm_envs.params import params_from_config
-from owm_envs.station import PORT_NAMES, TRAIN_PORTS, port_index
+from owm_envs.station import TRAIN_PORTS, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.reset import sample_start
@@ -98,7 +98,7 @@ def test_layout_reads_back_what_it_writes(x64, normalize, has_epoch):
     np.testing.assert_allclose(layout.wrench(jnp.asarray(layout.action(wrench))), wrench)
 
 
-def approach(docking, place, view, action=np.zeros(6), **overrides):
+def approach(docking, place, view, action=(0.0,) * 6, **overrides):
     """One step from a view at a port's goal frame of reference."""
     env, params, reset, step = docking(**QUICK, **overrides)
     state, _ = reset(params, key=jax.random.key(0), port=port_index("zvezda_aft"))
@@ -135,7 +135,7 @@ def test_an_episode_ends_as_it_should(x64, docking, place, view, outcome):
 
 
 def test_a_collision_that_does_not_terminate_is_charged_once_a_decision(x64, docking, place):
-    params, state, result = approach(docking, place, near_goal(offset=(0, -4.0, 0)), preset="rl")
+    _, state, result = approach(docking, place, near_goal(offset=(0, -4.0, 0)), preset="rl")
     free = approach(docking, place, near_goal(offset=(0, -4.0, 0)), preset="rl", reward={"collision": 0.0})[2]
     assert int(state.outcome) == Outcome.RUNNING and bool(state.collided)
     assert float(result.reward - free.reward) == pytest.approx(-2.0)
@@ -180,15 +180,15 @@ def test_holding_an_action_equals_repeating_it(x64, docking, fidelity):
 
 def test_docking_ends_the_rest_of_a_held_action(x64, docking, place):
     coasting = near_goal(offset=(0, 0.12, 0), velocity=(0, -0.4, 0))
-    params, state, _ = approach(docking, place, coasting, steps_per_action=20)
+    _, state, _ = approach(docking, place, coasting, steps_per_action=20)
     assert int(state.outcome) == Outcome.DOCKED
     assert float(state.physics.elapsed) == pytest.approx(0.1, abs=0.051)
     assert float(state.closest.distance) < 0.1
 
 
 def test_an_ended_episode_stays_as_it_is(x64, docking, place):
-    env, params, reset, step = docking(**QUICK)
-    params_, state, _ = approach(docking, place, near_goal())
+    *_, step = docking(**QUICK)
+    params, state, _ = approach(docking, place, near_goal())
     again, result = step(params, state, jnp.ones(6) * 1000)
     np.testing.assert_array_equal(again.view, state.view)
     assert float(result.reward) == 0 and bool(result.terminated)
@@ -203,7 +203,7 @@ def test_the_horizon_truncates(x64, docking):
 
 
 def test_closest_approach_is_kept(x64, docking, place):
-    env, params, reset, step = docking(**QUICK)
+    env, params, reset, _ = docking(**QUICK)
     fly_by = near_goal(offset=(0, 5.0, 1.0), velocity=(0, -0.5, 0))
     state, _ = reset(params, key=jax.random.key(0), port=port_index("zvezda_aft"))
     goal = np.asarray(params.goals[port_index("zvezda_aft")])
@@ -218,7 +218,6 @@ def test_actions_are_delivered_late_scaled_and_turned_as_configured(x64, docking
     chaser = {"actuation_delay": 2, "thrust_scale": (0.5,) + (1.0,) * 5, "misalignment": (0.0, 0.0, np.pi / 2)}
     _, params, reset, step = docking(**QUICK, chaser=chaser)
     state, _ = reset(params, key=jax.random.key(3))
-    body_velocity = lambda s: quat_rotate(s.view[6:10] * jnp.asarray([1, -1, -1, -1]), s.view[3:6])
     speeds = [state.view[3:6]]
     for _ in range(3):
         state, _ = step(params, state, jnp.asarray([1200.0, 0, 0, 0, 0, 0]))
@@ -229,7 +228,7 @@ def test_actions_are_delivered_late_scaled_and_turned_as_configured(x64, docking
 
 
 def test_parameters_can_be_swept_and_differentiated(x64, docking):
-    env, params, reset, step = docking(**QUICK)
+    env, params, reset, _ = docking(**QUICK)
     state, _ = reset(params, key=jax.random.key(0))
 
     def final_speed(mass):
@@ -241,5 +240,3 @@ def test_parameters_can_be_swept_and_differentiated(x64, docking):
     slope = jax.grad(final_speed)(12_000.0)
     secant = (final_speed(12_001.0) - final_speed(11_999.0)) / 2
     assert float(slope) == pytest.approx(float(secant), rel=1e-5)
-
-

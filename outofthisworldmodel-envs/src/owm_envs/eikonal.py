@@ -132,9 +132,7 @@ def _speed(points: Array, room: Array, goal: Array, normal: Array, config: Field
     beside = along < math.cos(math.radians(config.side_half_angle_deg)) * distance
     near = (distance > config.side_range[0]) & (distance < config.side_range[1])
     speed = jnp.where(beside & near, jnp.minimum(open_space, config.side_speed), open_space)
-    corridor = (along > math.cos(math.radians(config.cone_half_angle_deg)) * distance) & (
-        distance < config.cone_length
-    )
+    corridor = (along > math.cos(math.radians(config.cone_half_angle_deg)) * distance) & (distance < config.cone_length)
     speed = jnp.where(corridor | (distance < config.exact_radius), 1.0, speed)
     return jnp.where(room < 0.0, config.inside_speed, speed)
 
@@ -193,9 +191,7 @@ def _faces(grid: Grid, stride: int) -> list[np.ndarray]:
     faces = []
     for axis, count in enumerate(grid.shape):
         for end in (0, count - 1):
-            lines = [
-                np.array([end]) if i == axis else np.arange(0, n, stride) for i, n in enumerate(grid.shape)
-            ]
+            lines = [np.array([end]) if i == axis else np.arange(0, n, stride) for i, n in enumerate(grid.shape)]
             faces.append(np.ravel_multi_index(np.meshgrid(*lines, indexing="ij"), grid.shape).reshape(-1))
     return faces
 
@@ -272,9 +268,7 @@ def solve_coarse(phi_fine: np.ndarray, goal: np.ndarray, fine: Grid, coarse: Gri
     entry = goal + ray * np.min(room / np.maximum(np.abs(ray), 1e-9), axis=-1, keepdims=True)
     straight = np.linalg.norm(entry - goal, axis=-1)
     detour = _trilinear(phi_fine - np.linalg.norm(fine.points() - goal, axis=-1), fine, entry)
-    phi[outside] = np.minimum(
-        phi[outside], detour + straight + np.linalg.norm(points[outside] - entry, axis=-1)
-    )
+    phi[outside] = np.minimum(phi[outside], detour + straight + np.linalg.norm(points[outside] - entry, axis=-1))
     phi[core] = phi_fine[::ratio, ::ratio, ::ratio]
     return phi
 

@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from astrojax.attitude import quat_from_rotation_vector, quat_rotate
-from astrojax.time import mjd_from_calendar, normalize_epoch
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from astrojax.attitude import quat_from_rotation_vector, quat_rotate
+from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import DYNAMICS, PhysicalState
 from owm_envs.params import Params, params_from_config
@@ -113,9 +113,7 @@ class DockingEnv:
         )
         return self._observe(params, state)
 
-    def step(
-        self, params: Params, state: EnvState, action: Float[Array, "6"]
-    ) -> tuple[EnvState, StepResult]:
+    def step(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, StepResult]:
         """Hold an action for one decision; an episode that has ended stays as it is, with reward zero.
 
         An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`.
@@ -125,9 +123,7 @@ class DockingEnv:
         valid = jnp.all(jnp.isfinite(action))
         wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(dtype))
         invalid = was_running & ~valid
-        started = state._replace(
-            outcome=jnp.where(invalid, Outcome.INVALID_ACTION, state.outcome).astype(jnp.int32)
-        )
+        started = state._replace(outcome=jnp.where(invalid, Outcome.INVALID_ACTION, state.outcome).astype(jnp.int32))
 
         def substep(carry, _):
             now, touched = carry
@@ -145,9 +141,7 @@ class DockingEnv:
 
         count = state.count + was_running
         late = (ended.outcome == Outcome.RUNNING) & (count >= params.horizon_steps)
-        ended = ended._replace(
-            count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32)
-        )
+        ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
         goal = params.goals[ended.port]
         earned = reward(
             params,
@@ -160,13 +154,9 @@ class DockingEnv:
         )
         observed, observation = self._observe(params, ended)
         outcome = ended.outcome
-        terminated = (
-            (outcome == Outcome.DOCKED) | (outcome == Outcome.COLLIDED) | (outcome == Outcome.ESCAPED)
-        )
+        terminated = (outcome == Outcome.DOCKED) | (outcome == Outcome.COLLIDED) | (outcome == Outcome.ESCAPED)
         truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION)
-        return observed, StepResult(
-            observation, jnp.where(was_running, earned, 0).astype(dtype), terminated, truncated
-        )
+        return observed, StepResult(observation, jnp.where(was_running, earned, 0).astype(dtype), terminated, truncated)
 
     def info(self, params: Params, state: EnvState) -> dict[str, Array]:
         """The truth behind a state: for recording and scoring, never for a policy.

@@ -205,9 +205,7 @@ def _solve_port(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The detour of one port at the nodes of both grids."""
     fine, coarse = grids
-    phi = solve_fine(
-        room_fine, jnp.asarray(goal, jnp.float32), jnp.asarray(normal, jnp.float32), fine, config
-    )
+    phi = solve_fine(room_fine, jnp.asarray(goal, jnp.float32), jnp.asarray(normal, jnp.float32), fine, config)
     phi = np.asarray(phi)
     straight = [np.linalg.norm(grid.points() - goal, axis=-1) for grid in grids]
     on_fine = (phi - straight[0]).astype(np.float32)
@@ -222,9 +220,7 @@ def _checked(boxes, goals, normals, sphere_radius: float) -> tuple[np.ndarray, n
     if not np.all(boxes[:, 1] >= boxes[:, 0]):
         raise ValueError("boxes must hold the lower corner first: an upper corner lies below its lower one")
     if goals.ndim != 2 or goals.shape[1] != 3 or len(goals) == 0 or normals.shape != goals.shape:
-        raise ValueError(
-            f"goals and normals must both have shape (P, 3), P > 0; got {goals.shape}, {normals.shape}"
-        )
+        raise ValueError(f"goals and normals must both have shape (P, 3), P > 0; got {goals.shape}, {normals.shape}")
     if not (all(np.isfinite(a).all() for a in (boxes, goals, normals)) and sphere_radius >= 0.0):
         raise ValueError("boxes, goals and normals must be finite and sphere_radius not negative")
     if not np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6):
@@ -282,9 +278,7 @@ def _read(path: Path, shapes: tuple) -> list[np.ndarray] | None:
             values = [file["fine"], file["coarse"]]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
-    sound = all(
-        v.shape == s and v.dtype == np.float32 and np.isfinite(v).all() for v, s in zip(values, shapes)
-    )
+    sound = all(v.shape == s and v.dtype == np.float32 and np.isfinite(v).all() for v, s in zip(values, shapes))
     return values if sound else None
 
 
@@ -339,9 +333,7 @@ def load_field(
     path = folder / f"clearance-{_digest('clearance', *common)}.npz"
     rooms = _read(path, shapes)
     if rooms is None:
-        rooms = [
-            np.asarray(grid_clearance(jnp.asarray(boxes, jnp.float32), _SPHERE_RADIUS, g)) for g in grids
-        ]
+        rooms = [np.asarray(grid_clearance(jnp.asarray(boxes, jnp.float32), _SPHERE_RADIUS, g)) for g in grids]
         _write(path, *rooms)
     paths = {r: folder / f"{PORT_NAMES[r]}-{_digest(goals[r], normals[r], *common)}.npz" for r in rows}
     detours = {r: _read(path, shapes) for r, path in paths.items()}

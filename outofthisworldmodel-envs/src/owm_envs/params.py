@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from astrojax.time import mjd_from_calendar
 from jaxtyping import Array, Float, Int
 
+from astrojax.time import mjd_from_calendar
 from owm_envs.config import DockingConfig
 from owm_envs.station import goal_poses, hull_boxes, port_index
 
@@ -103,9 +103,7 @@ def params_from_config(config: DockingConfig) -> Params:
         return jnp.asarray(value, dtype)
 
     chief, chaser = config.chief, config.chaser
-    angles = np.radians(
-        [chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg]
-    )
+    angles = np.radians([chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg])
     return Params(
         dt=real(config.dt),
         horizon_steps=jnp.asarray(round(config.horizon / config.decision_dt), jnp.int32),

@@ -116,9 +116,7 @@ def batch_program(config: DockingConfig, autoreset: AutoresetMode) -> BatchProgr
 
 def select(mask, new, old):
     """Leaf by leaf, `new` in the slots of `mask` (B,) and `old` elsewhere."""
-    return jax.tree.map(
-        lambda n, o: jnp.where(jnp.reshape(mask, mask.shape + (1,) * (n.ndim - 1)), n, o), new, old
-    )
+    return jax.tree.map(lambda n, o: jnp.where(jnp.reshape(mask, mask.shape + (1,) * (n.ndim - 1)), n, o), new, old)
 
 
 def state_to_host(state: EnvState) -> Any:

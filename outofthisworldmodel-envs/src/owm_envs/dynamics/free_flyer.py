@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
+
 from astrojax.attitude import accel_euler, quat_derivative, quat_normalize, quat_rotate
 from astrojax.integrators import rk4_step
-
 from owm_envs.dynamics.state import PhysicalState, VehicleState, no_commands
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
+
 from astrojax.attitude import (
     accel_euler,
     quat_conjugate,
@@ -19,7 +20,6 @@ from astrojax.attitude import (
 from astrojax.constants import GM_EARTH
 from astrojax.elements import mean_motion
 from astrojax.integrators import rk4_step
-
 from owm_envs.dynamics.state import PhysicalState, VehicleState, no_commands
 
 

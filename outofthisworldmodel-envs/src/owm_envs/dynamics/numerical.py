@@ -9,6 +9,8 @@ from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+
 from astrojax.attitude import (
     accel_euler,
     quat_conjugate,
@@ -26,8 +28,6 @@ from astrojax.gravity import accel_two_body, accel_zonal
 from astrojax.integrators import rk4_step
 from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
-from jaxtyping import Array, Float
-
 from owm_envs.dynamics.state import PhysicalState, VehicleState, no_commands
 
 RTN_TO_STATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -58,7 +58,7 @@ class NumericalOrbits:
         return _Frame(relabel @ rotation_eci_to_rtn(chief), relabel @ rtn_rate(chief, accel))
 
     def init(self, params, epoch, view):
-        """State with the relative view `view` (13,) at `epoch` (2,); the chief has followed its Kepler orbit to then."""
+        """State with the relative view `view` (13,) at `epoch` (2,), to which the chief has followed its Kepler orbit."""
         since = (epoch[0] - params.chief.epoch[0]) * 86_400.0 + (epoch[1] - params.chief.epoch[1])
         elements = propagate_keplerian(params.chief.elements, since, GM_EARTH)
         chief = keplerian_to_cartesian(elements, GM_EARTH)

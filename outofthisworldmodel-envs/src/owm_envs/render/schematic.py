@@ -161,9 +161,7 @@ def _scene(hull: bytes, size: tuple[int, int], half_height: float, inset_half_he
         _View(*_SIDE, (left, 2 * gap + inset, side, inset), inset_scale),
     )
     rows = np.linspace(1.25, 0.75, height)[:, None, None]
-    image = np.broadcast_to(np.clip(np.array(_BACKGROUND) * rows, 0, 255), (height, width, 3)).astype(
-        np.float32
-    )
+    image = np.broadcast_to(np.clip(np.array(_BACKGROUND) * rows, 0, 255), (height, width, 3)).astype(np.float32)
     for x, y, w, h in (view.rectangle for view in views[1:]):
         image[y : y + h, x : x + w] = _PANEL
     depths = []
@@ -230,9 +228,7 @@ def _faded(colour: tuple, part: float) -> tuple:
     return tuple(round(part * c + (1.0 - part) * b) for c, b in zip(colour, _BACKGROUND))
 
 
-def _polyline(
-    image, points: np.ndarray, view: _View, buffer: np.ndarray, colour: tuple, thickness: int
-) -> None:
+def _polyline(image, points: np.ndarray, view: _View, buffer: np.ndarray, colour: tuple, thickness: int) -> None:
     """A curve in the station frame: drawn faintly where the hull hides it."""
     import cv2
 
@@ -255,18 +251,14 @@ def _rotate(q: np.ndarray, vector: tuple[float, float, float]) -> np.ndarray:
     return np.asarray(vector) + 2.0 * (w * inner + np.cross(axis, inner))
 
 
-def _draw_port(
-    image, goal: np.ndarray, view: _View, buffer, active: bool, colour: tuple, size: float
-) -> None:
+def _draw_port(image, goal: np.ndarray, view: _View, buffer, active: bool, colour: tuple, size: float) -> None:
     import cv2
 
     outward = -_rotate(goal[3:], (0.0, 0.0, 1.0))
     length = 26.0 if active else 9.0
     _polyline(image, goal[:3] + outward * np.linspace(0.0, length, 24)[:, None], view, buffer, colour, 1)
     if active:  # the approach cone
-        across = (
-            np.cross(outward, view.right) if abs(outward @ view.right) < 0.9 else np.cross(outward, view.up)
-        )
+        across = np.cross(outward, view.right) if abs(outward @ view.right) < 0.9 else np.cross(outward, view.up)
         across /= np.linalg.norm(across)
         other = np.cross(outward, across)
         turn = np.linspace(0.0, 2.0 * np.pi, 41)[:, None]
@@ -278,9 +270,7 @@ def _draw_port(
     pixel, depth = view.project(goal[:3])
     tone = _faded(colour, 0.5) if _hidden(pixel, depth, buffer) else colour
     centre = tuple(np.round(pixel * 16.0).astype(int).tolist())
-    cv2.circle(
-        image, centre, round((4.5 if active else 2.8) * size * 16), tone, -1 if active else 1, cv2.LINE_AA, 4
-    )
+    cv2.circle(image, centre, round((4.5 if active else 2.8) * size * 16), tone, -1 if active else 1, cv2.LINE_AA, 4)
 
 
 def _draw_chaser(image: np.ndarray, state: np.ndarray, view: _View, buffer: np.ndarray, unit: float) -> None:
@@ -349,9 +339,7 @@ def draw_schematic(
 
     boxes, goals, state, path = (np.asarray(a, np.float64) for a in (boxes, goals, state, path))
     if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or goals.shape[1:] != (7,):
-        raise ValueError(
-            f"boxes must have shape (N, 2, 3) and goals (P, 7); got {boxes.shape} and {goals.shape}"
-        )
+        raise ValueError(f"boxes must have shape (N, 2, 3) and goals (P, 7); got {boxes.shape} and {goals.shape}")
     if state.shape != (13,) or path.reshape(-1, 3).shape != (len(path), 3):
         raise ValueError(f"state must have shape (13,) and path (T, 3); got {state.shape} and {path.shape}")
     if not 0 <= active_port < len(goals):
@@ -362,9 +350,7 @@ def draw_schematic(
     finite = bool(np.isfinite(state).all())
     path = path.reshape(-1, 3)
     path = path[np.isfinite(path).all(axis=1)]
-    path = (
-        path[np.unique(np.linspace(0, max(len(path) - 1, 0), 500).astype(int))] if len(path) > 500 else path
-    )
+    path = path[np.unique(np.linspace(0, max(len(path) - 1, 0), 500).astype(int))] if len(path) > 500 else path
     hull, size = np.ascontiguousarray(boxes).tobytes(), (int(size[0]), int(size[1]))
     main_zoom, inset_zoom = _ZOOMS[0], _ZOOMS[1]
     if finite:
@@ -398,9 +384,7 @@ def draw_schematic(
     )
     for column, (label, colour) in enumerate((("train port", _TRAIN), ("held-out port", _HELD_OUT))):
         at = np.array([22 + 110 * column, 48]) * unit
-        cv2.circle(
-            image, tuple(np.round(at).astype(int).tolist()), max(round(3 * unit), 1), colour, 1, cv2.LINE_AA
-        )
+        cv2.circle(image, tuple(np.round(at).astype(int).tolist()), max(round(3 * unit), 1), colour, 1, cv2.LINE_AA)
         _write(image, label, at + (9 * unit, 4 * unit), 0.38 * unit, _MUTED)
     x, y, _, h = scene.panel
     for row, text in enumerate(text_lines):

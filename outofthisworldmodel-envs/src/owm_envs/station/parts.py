@@ -183,19 +183,14 @@ def _truss_radiator(label: str, x: float) -> tuple[Part, ...]:
 _RADIATORS = (
     *_truss_radiator("p1", 15.0),
     *_truss_radiator("s1", -15.0),
-    *(
-        _photovoltaic_radiator(label, x)
-        for label, x in (("p4", 30.4), ("s4", -30.4), ("p6", 41.2), ("s6", -41.2))
-    ),
+    *(_photovoltaic_radiator(label, x) for label, x in (("p4", 30.4), ("s4", -30.4), ("p6", 41.2), ("s6", -41.2))),
 )
 
 
 def _zvezda_array(label: str, inboard: float, outboard: float) -> Part:
     """One wing of Zvezda, turned to the Sun like the large arrays; tiles along the chord."""
     centre = (0.5 * (inboard + outboard), 27.6, -1.870)
-    return Part(
-        f"zvezda_array_{label}", "panel", centre, _ARRAY_AXIS, (3.4, outboard - inboard, 0.1), 3, _NASA
-    )
+    return Part(f"zvezda_array_{label}", "panel", centre, _ARRAY_AXIS, (3.4, outboard - inboard, 0.1), 3, _NASA)
 
 
 PARTS: tuple[Part, ...] = (

@@ -98,8 +98,6 @@ def goal_poses() -> Float[np.ndarray, "8 7"]:
     """
     rows = []
     for port in PORTS:
-        position = np.asarray(port.interface, np.float64) + port.standoff * np.asarray(
-            port.normal, np.float64
-        )
+        position = np.asarray(port.interface, np.float64) + port.standoff * np.asarray(port.normal, np.float64)
         rows.append(np.concatenate([position, docked_attitude(port.normal)]))
     return np.stack(rows)

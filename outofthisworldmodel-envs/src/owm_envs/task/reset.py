@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from astrojax.attitude import quat_from_rotation_vector, quat_multiply
-from astrojax.time import normalize_epoch
 from jaxtyping import Array, Float, Int, Key
 
+from astrojax.attitude import quat_from_rotation_vector, quat_multiply
+from astrojax.time import normalize_epoch
 from owm_envs.params import Params
 
 

@@ -2,14 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
 from astrojax.attitude import (
     quat_conjugate,
     quat_from_rotation_vector,
     quat_multiply,
     quat_to_rotation_vector,
 )
-from jaxtyping import Array, Float, Key
-
 from owm_envs.params import NoiseParams
 
 

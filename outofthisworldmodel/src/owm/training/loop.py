@@ -212,7 +212,11 @@ def _restore(manager: ocp.CheckpointManager, state: TrainState) -> TrainState:
     step = manager.latest_step()
     if step is None:
         return state
-    return manager.restore(step, args=ocp.args.StandardRestore(jax.tree.map(ocp.utils.to_shape_dtype_struct, state)))
+    restored = manager.restore(
+        step, args=ocp.args.StandardRestore(jax.tree.map(ocp.utils.to_shape_dtype_struct, state))
+    )
+    # By way of NumPy: arrays that come committed to a device would have the training step compiled a second time.
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
 
 
 def _append(file: Path, line: dict[str, Any]) -> None:
