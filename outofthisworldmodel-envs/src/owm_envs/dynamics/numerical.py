@@ -58,7 +58,7 @@ class NumericalOrbits:
         return _Frame(relabel @ rotation_eci_to_rtn(chief), relabel @ rtn_rate(chief, accel))
 
     def init(self, params, epoch, view):
-        """State with the relative view `view` (13,) at `epoch` (2,), to which the chief has followed its Kepler orbit."""
+        """State with the relative view `view` (13,) at `epoch` (2,); the chief has come there on its Kepler orbit."""
         since = (epoch[0] - params.chief.epoch[0]) * 86_400.0 + (epoch[1] - params.chief.epoch[1])
         elements = propagate_keplerian(params.chief.elements, since, GM_EARTH)
         chief = keplerian_to_cartesian(elements, GM_EARTH)

@@ -102,7 +102,7 @@ def train(
     options = ocp.CheckpointManagerOptions(max_to_keep=1, enable_async_checkpointing=False, create=True)
     with ocp.CheckpointManager((out / "state").absolute(), options=options) as manager:
         state = _restore(manager, initial_state(config, dtype))
-        _truncate(metrics, int(state.step))
+        _truncate(metrics, int(state.step) or -1)
         # The static part alone goes into compiled calls: no weights live in it.
         model = LearnedWorldModel(config.model, Params(state.network, statistics), name)
         with _progress(console) as progress:
@@ -225,7 +225,7 @@ def _append(file: Path, line: dict[str, Any]) -> None:
 
 
 def _truncate(file: Path, step: int) -> None:
-    """Drop what was logged after the step that is resumed from."""
+    """Drop what was logged after the step that is resumed from, or everything for -1."""
     if not file.exists():
         return
     kept = []
