@@ -52,7 +52,7 @@ class Scale:
 
 
 SCALES: dict[str, Scale] = {
-    "full": Scale(500_000, 0.2, 64, 5, PRESETS["nano"], 512, 3, 24, PlannerConfig(), True),
+    "full": Scale(500_000, 0.2, 64, 5, PRESETS["nano"], 512, 5, 40, PlannerConfig(), True),
     "ci": Scale(60_000, 0.2, 16, 5, PRESETS["ci"], 128, 1, 8, PlannerConfig(), False),
 }
 POLICIES: dict[str, str] = {

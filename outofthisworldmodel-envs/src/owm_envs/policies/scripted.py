@@ -268,9 +268,9 @@ class DockGeodesicPolicy:
     """Follow the shortest collision-free way to the port: velocity down the geodesic cost-to-go, attitude of the port.
 
     It is given the station's hull by way of `field`. Speed profile 4 m/s, sqrt(0.08 phi), phi / 4, and
-    0.4 m/s + 0.18 / s of clearance, whichever is least; turning rate 0.05 rad/s, sqrt(0.02 theta), theta / 5. The
-    velocity and rate loops have time constants of 2 s, half of the fastest the profiles ask for. The slope on clearance
-    was chosen on train ports: at 0.25 / s one flight in 60 clips the edge of a solar array.
+    0.4 m/s + sqrt(0.08 clearance), whichever is least: what braking at 0.04 m/s2 can undo before the goal or the hull.
+    Turning rate 0.05 rad/s, sqrt(0.02 theta), theta / 5. The velocity and rate loops have time constants of 2 s. The
+    limit by clearance was chosen on train ports, where a linear one (0.18 / s) clips an array in 3 of 200 flights.
     """
 
     vehicle: Vehicle
@@ -293,7 +293,7 @@ class DockGeodesicPolicy:
         gap = clearance(self.field, view.position)
         cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
         speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
-        speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + 0.18 * jnp.maximum(gap, 0)))
+        speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
         wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
         accel = (wanted - view.velocity) / 2.0
         force = quat_rotate(quat_conjugate(view.attitude), self.vehicle.mass * accel)

@@ -1,6 +1,7 @@
 """The planner as a policy that flies the vector environment: the one stateful shell around `plan`."""
 
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from owm.planning.mppi import PlannerState, init_planner, plan
 from owm_envs.config import DockingConfig
 from owm_envs.env import DockingEnv
 from owm_envs.geodesic import GeodesicField
-from owm_envs.station import PORT_NAMES, goal_poses
+from owm_envs.station import PORT_NAMES, goal_poses, port_index
 
 
 class SlotStates(NamedTuple):
@@ -107,13 +108,17 @@ class PlannerPolicy:
             planner=jax.tree.map(lambda x: np.repeat(x[None], slots, axis=0), planner),
         )
 
-    def reset(self, mask: Bool[np.ndarray, "B"] | None = None, ports: Int[np.ndarray, "B"] | None = None) -> None:
+    def reset(
+        self,
+        mask: Bool[np.ndarray, "B"] | None = None,
+        ports: Int[np.ndarray, "B"] | Sequence[int | str] | None = None,
+    ) -> None:
         """Announce new episodes: their slots forget everything and start afresh at the next `predict`.
 
         Args:
             mask: slots whose episode begins; all when None.
-            ports: assigned port index of every slot (read where `mask` is True); the ones known so far when
-                None.
+            ports: assigned port of every slot, by name or index (read where `mask` is True); the ones known so
+                far when None.
 
         Raises:
             ValueError: a shape is not (num_slots,), a port is out of range or not in the field, or no ports
@@ -124,7 +129,7 @@ class PlannerPolicy:
         if mask.shape != expected:
             raise ValueError(f"mask must have shape {expected}, got {mask.shape}")
         if ports is not None:
-            ports = np.atleast_1d(np.asarray(ports))
+            ports = np.atleast_1d([port_index(p) if isinstance(p, str) else p for p in ports])
             if ports.shape != expected:
                 raise ValueError(f"ports must have shape {expected}, got {ports.shape}")
             wanted = ports[mask]
