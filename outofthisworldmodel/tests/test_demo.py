@@ -99,5 +99,5 @@ def test_the_report_tells_what_was_given_what_failed_and_how_it_was_run(tmp_path
 
 def test_scales_are_what_the_protocol_asks():
     full = SCALES["full"]
-    assert full.trials * 8 == 24 and full.must_dock and full.transitions == 500_000
+    assert full.trials * 8 == 40 and full.must_dock and full.transitions == 500_000
     assert SCALES["ci"].trials == 1 and not SCALES["ci"].must_dock
