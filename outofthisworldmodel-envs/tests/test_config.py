@@ -52,6 +52,10 @@ def test_a_field_may_change_within_a_named_preset():
         ({"precision": "float32"}, "precision must be 'float64'"),
         ({"preset": "datta"}, "did you mean 'data'"),
         ({"fidelity": "iss-numeric"}, "iss-numerical"),
+        ({"config": {"fidelity": "iss-hcw"}, "fidelity": "iss"}, "config is for fidelity 'iss-hcw'"),
+        ({"config": DockingConfig(), "preset": "rl"}, "pass one or the other"),
+        ({"chief": {"reference_epoch": "tomorrow"}}, "chief.reference_epoch"),
+        ({"obstacles": [((0, 0, 0), (1, -1, 1))]}, "lower corner below"),
     ],
 )
 def test_mistakes_name_the_field_and_the_nearest_name(overrides, message):

@@ -40,7 +40,7 @@ def test_check_env(env):
         warnings.filterwarnings("error")
         warnings.filterwarnings("ignore", message=".*A Box observation space m.*infinity.*")
         warnings.filterwarnings("ignore", message=".*For Box action spaces, we recommend using a symmetric.*")
-        check_env(env.unwrapped, skip_render_check=True)
+        check_env(env.unwrapped)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -69,6 +69,7 @@ def test_make_without_importing_the_package():
 
 def test_info_tells_the_truth_and_the_observation_the_measurement(env, fidelity):
     observation, info = env.reset(seed=1, options={"dock_port": "poisk_zenith"})
+    assert observation.flags.writeable and info["true_state"].flags.writeable
     assert info["port"] == "poisk_zenith" and info["outcome"] == "running"
     layout = env.unwrapped.layout
     np.testing.assert_allclose(layout.measured_view(observation), info["measured_state"], rtol=1e-6)
@@ -102,6 +103,15 @@ def test_a_slot_equals_the_scalar_environment_auto_resets_included(fidelity, mod
                     observation, done = scalar.reset()[0], False
                 expected.append(observation)
         np.testing.assert_allclose([b[slot] for b in batch], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_slots_without_a_seed_follow_from_their_own_last_episode(vector):
+    env = vector("disabled")
+    env.reset(seed=[3, 4])
+    mixed = env.reset(seed=[None, 9])[0]
+    env.reset(seed=[3, 8])
+    np.testing.assert_array_equal(env.reset()[0][0], mixed[0])
+    np.testing.assert_array_equal(env.reset(seed=[1, 9])[0][1], mixed[1])
 
 
 def test_next_step_keeps_the_terminal_observation_then_resets(vector):
@@ -174,7 +184,8 @@ def test_a_slot_with_a_nan_action_ends_alone_and_stays_finite(vector):
     env.reset(seed=0)
     actions = np.stack([ACTION, ACTION])
     actions[1, 2] = np.nan
-    observation, reward, _, truncated, info = env.step(actions)
+    with pytest.warns(UserWarning, match=r"slots \[1\]"):
+        observation, reward, _, truncated, info = env.step(actions)
     assert list(info["outcome"]) == ["running", "invalid_action"] and list(truncated) == [False, True]
     assert np.isfinite(observation).all() and np.isfinite(reward).all()
 

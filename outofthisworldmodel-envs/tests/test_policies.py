@@ -25,8 +25,9 @@ def policies(env):
     from owm_envs.geodesic import solve_field
 
     # The most open port and the most hidden one, which stand first: solving takes a second a port.
-    normals = np.array([port.normal for port in PORTS[:2]])
-    field = solve_field(hull_boxes(), goal_poses()[:2, :3], normals, config=FieldConfig(fine_spacing=2.0))
+    # In the other order than the ports, so that a policy must look up which row is whose.
+    normals = np.array([port.normal for port in PORTS[1::-1]])
+    field = solve_field(hull_boxes(), goal_poses()[1::-1, :3], normals, config=FieldConfig(fine_spacing=2.0))
     built = {name: make_policy(name, env) for name in PULLED}
     return {**built, "dock-geodesic": make_policy("dock-geodesic", env, geodesic_field=field)}
 
@@ -61,6 +62,13 @@ def test_dock_geodesic_docks_without_touching_the_hull(flights):
         assert episode.outcome == Outcome.DOCKED, episode.info
         assert not episode.info["collided"]
         assert len(episode) * 0.25 < 200.0
+
+
+def test_dock_geodesic_cannot_fly_to_a_port_its_field_lacks(env, policies):
+    policy = policies["dock-geodesic"]
+    observation = jnp.zeros(env.layout.size).at[env.layout.view.start].set(120.0).at[env.layout.view.start + 6].set(1.0)
+    assert jnp.isfinite(policy.act(jnp.int32(1), observation)[0]).all()
+    assert not jnp.isfinite(policy.act(jnp.int32(2), observation)[0]).all()
 
 
 def test_orbit_keeps_to_a_circle_with_the_nose_at_its_centre(env, flights):

@@ -227,6 +227,15 @@ def test_actions_are_delivered_late_scaled_and_turned_as_configured(x64, docking
     np.testing.assert_allclose(gained, [0, 0.0025, 0], atol=1e-5)
 
 
+def test_the_wrench_limit_is_a_parameter(x64, docking):
+    _, params, reset, step = docking(**QUICK)
+    state, _ = reset(params, key=jax.random.key(3))
+    weak = params._replace(chaser=params.chaser._replace(wrench_limit=params.chaser.wrench_limit * 0.1))
+    push = jnp.asarray([1600.0, 0, 0, 0, 0, 0])
+    full, tenth = (jnp.linalg.norm(step(p, state, push)[0].view[3:6] - state.view[3:6]) for p in (params, weak))
+    assert float(tenth / full) == pytest.approx(0.1, rel=1e-3)
+
+
 def test_parameters_can_be_swept_and_differentiated(x64, docking):
     env, params, reset, _ = docking(**QUICK)
     state, _ = reset(params, key=jax.random.key(0))

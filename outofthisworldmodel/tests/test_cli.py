@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 
@@ -13,8 +14,9 @@ from owm.model.linear import LinearMap
 from owm.policies import GIVEN, NAMES, kind_of, load_model
 
 
-def python(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+def python(code, **environ):
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=os.environ | environ)
 
 
 def test_help_imports_nothing_heavy():
@@ -37,6 +39,30 @@ def test_importing_changes_no_jax_setting():
         "print(environ == dict(os.environ))"
     )
     assert done.stdout.splitlines() == ["[]", "True"], done.stderr
+
+
+def test_output_that_cannot_hold_a_letter_does_without_it():
+    done = python(
+        "from owm.cli import tolerant_output\nfrom owm.console import print_table\n"
+        "from owm.evaluation.report import Table\ntolerant_output()\nprint_table(Table(['Δv m/s'], [['8.2']]))",
+        PYTHONIOENCODING="cp1252",
+        PYTHONUTF8="0",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "?v m/s" in done.stdout and "8.2" in done.stdout
+
+
+def test_a_loss_that_diverges_is_told_in_one_line(monkeypatch, tmp_path, capfd):
+    import owm.commands
+
+    def diverge(data, out, config):
+        raise FloatingPointError("the loss is not finite at step 50; lower learning_rate")
+
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(owm.commands, "train", diverge)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["train", "--data", "d", "--out", "o"])
+    assert stop.value.code == 2 and capfd.readouterr().err.startswith("error: the loss is not finite")
 
 
 @pytest.mark.parametrize(

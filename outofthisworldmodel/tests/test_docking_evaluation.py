@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, trials
+from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, start_digest, trials
 from owm.evaluation.flights import (
     TOLERANCES,
     Flights,
@@ -278,3 +278,14 @@ def test_hull_distance_agrees_with_the_simulation(docked):
     inside = np.array([0.233, 10.0, -1.87])
     assert hull_distance(inside, 2.25) == pytest.approx(-2.25)
     assert np.isnan(hull_distance(np.full(3, np.nan)))
+
+
+def test_the_digest_of_a_start_tells_view_epoch_and_port():
+    view, epoch = np.arange(13.0), np.array([60000.0, 12.5])
+    digests = {
+        start_digest(view, epoch, 3),
+        start_digest(view + 1e-9, epoch, 3),
+        start_digest(view, epoch + [0.0, 1e-6], 3),
+        start_digest(view, epoch, 4),
+    }
+    assert len(digests) == 4 and start_digest(view.copy(), epoch, np.int32(3)) in digests

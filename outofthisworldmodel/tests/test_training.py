@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from rich.console import Console
 
 from owm.data import Episodes
 from owm.evaluation.prediction import window_errors
-from owm.model.checkpoint import load_world_model
+from owm.model.checkpoint import CheckpointError, load_world_model
 from owm.model.config import ModelConfig
 from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
@@ -86,11 +87,23 @@ def test_a_finished_run_is_returned_and_another_is_refused(uninterrupted, episod
     result, out, _ = uninterrupted
     again = train(CONFIG, episodes, episodes, out, console=QUIET)
     assert (again.score, again.step) == (result.score, result.step)
-    with pytest.raises(ValueError, match="differs in config"):
+    with pytest.raises(ValueError, match=r"differs in config.*choose another folder"):
         train(CONFIG.model_copy(update={"seed": 1}), episodes, episodes, out, console=QUIET)
     other = replace(episodes, observation=episodes.observation + 1.0)
     with pytest.raises(ValueError, match="differs in val"):
         train(CONFIG, episodes, other, out, console=QUIET)
+
+
+@pytest.mark.parametrize("part", ["run.json", "state"])
+def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
+    out = tmp_path / "damaged"
+    shutil.copytree(uninterrupted[1], out)
+    shutil.rmtree(out / "model")
+    files = [out / part] if part == "run.json" else [file for file in (out / part).rglob("*") if file.is_file()]
+    for file in files:
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(CheckpointError, match=r"is damaged.*choose another folder"):
+        train(CONFIG, episodes, episodes, out, console=QUIET)
 
 
 def test_killed_and_resumed_equals_uninterrupted(uninterrupted, episodes, tmp_path):

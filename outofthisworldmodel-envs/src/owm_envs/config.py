@@ -1,5 +1,6 @@
 """The configuration of a docking environment: frozen, validated, and readable from TOML, JSON or keyword arguments."""
 
+import datetime
 import difflib
 import os
 import tomllib
@@ -139,6 +140,12 @@ class ChiefConfig(_Frozen):
     drag_area: NonNegative = 1500.0
     drag_coefficient: NonNegative = 2.2
 
+    @field_validator("reference_epoch")
+    @classmethod
+    def _a_date(cls, value):
+        datetime.datetime.fromisoformat(value)
+        return value
+
 
 class ChaserConfig(_Frozen):
     """The Dragon-class chaser."""
@@ -217,6 +224,14 @@ class DockingConfig(_Frozen):
             port_index(name)
         return value
 
+    @field_validator("obstacles")
+    @classmethod
+    def _corners_in_order(cls, value):
+        for lower, upper in value:
+            if not all(low < high for low, high in zip(lower, upper)):
+                raise ValueError(f"a box needs its lower corner below its upper one on each axis, got {lower}, {upper}")
+        return value
+
     @model_validator(mode="after")
     def _consistent(self):
         if self.fidelity == "iss-numerical" and self.precision != "float64":
@@ -263,23 +278,29 @@ def load_config(
         overrides: fields of `DockingConfig`; nested mappings are merged.
 
     Raises:
-        ValueError: a field, preset or port is unknown (naming the nearest) or out of bounds.
+        ValueError: a field, preset or port is unknown (naming the nearest) or out of bounds; or the file or mapping
+            is for another fidelity than the one named beside it.
         FileNotFoundError: `config` names no file.
     """
     if preset not in CONFIG_PRESETS:
         raise ValueError(unknown("preset", preset, CONFIG_PRESETS))
     values = _expand(CONFIG_PRESETS[preset])
+    given: Mapping[str, Any] = {}
     if isinstance(config, DockingConfig):
+        if preset != "data":
+            raise ValueError(f"preset {preset!r} would change the whole DockingConfig given: pass one or the other")
         values = config.model_dump()
     elif isinstance(config, Mapping):
-        values = _merge(values, _expand(config))
+        given = config
     elif config is not None:
         with open(config, "rb") as file:
             try:
-                values = _merge(values, _expand(tomllib.load(file)))
+                given = tomllib.load(file)
             except tomllib.TOMLDecodeError as error:
                 raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
-    values = _merge(values, _expand(overrides))
+    if (asked := given.get("fidelity")) != (named := overrides.get("fidelity", asked)) and asked is not None:
+        raise ValueError(f"config is for fidelity {asked!r}, not {named!r}: make the environment id that goes with it")
+    values = _merge(_merge(values, _expand(given)), _expand(overrides))
     _check_keys(values, DockingConfig, "")
     try:
         return DockingConfig.model_validate(values)

@@ -121,7 +121,7 @@ class DockingEnv:
         dtype = state.view.dtype
         was_running = state.outcome == Outcome.RUNNING
         valid = jnp.all(jnp.isfinite(action))
-        wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(dtype))
+        wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(dtype), params.chaser.wrench_limit)
         invalid = was_running & ~valid
         started = state._replace(outcome=jnp.where(invalid, Outcome.INVALID_ACTION, state.outcome).astype(jnp.int32))
 

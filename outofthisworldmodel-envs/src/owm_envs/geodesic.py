@@ -35,7 +35,7 @@ from owm_envs.eikonal import (
 )
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
 
-__all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "load_field", "solve_field"]
+__all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "field_rows", "load_field", "solve_field"]
 
 Progress = Callable[[str, int, int], None]
 """Called with a message, the ports done and the ports to do."""
@@ -359,3 +359,9 @@ def _reporter(progress: Progress | None) -> Iterator[Progress]:
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("geodesic field")
         yield lambda message, done, total: bar.update(task, description=message, completed=done, total=total)
+
+
+def field_rows(field: GeodesicField) -> Int[np.ndarray, "8"]:
+    """The row of a field that belongs to each port of the station, -1 where it has none."""
+    gaps = np.linalg.norm(goal_poses()[:, None, :3] - np.asarray(field.goals)[None], axis=-1)
+    return np.where(gaps.min(axis=1) < 1e-3, gaps.argmin(axis=1), -1)

@@ -141,7 +141,7 @@ def _fly(env, length, params, policies, which, carry):
         answers = [policy.act(memory, observation) for policy, memory in zip(policies, memories)]
         action = jnp.stack([answer[0] for answer in answers])[choice]
         after, result = env.step(params, state, action)
-        decision = Decision(env.layout.wrench(action), result.reward, after.outcome)
+        decision = Decision(env.layout.wrench(action, params.chaser.wrench_limit), result.reward, after.outcome)
         carried = (after, result.observation, tuple(answer[1] for answer in answers))
         return carried, (_frame(env, params, after, result.observation), decision)
 

@@ -104,7 +104,7 @@ def demo(
 
     Args:
         scale: full takes up to a quarter of an hour on two cores, ci a few minutes.
-        out: Folder for everything; a killed run is resumed.
+        out: Folder for everything; a killed run is resumed, a finished one replaced.
         seed: Decides everything random.
         fresh: Start over, whatever is there.
     """
@@ -146,6 +146,7 @@ def _train(preset: str):
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; a user's mistake ends with exit code 2 and one line that says what it is."""
+    tolerant_output()
     arguments = sys.argv[1:] if arguments is None else arguments
     app, prog, description = tyro.extras.SubcommandApp(), "owm", "A world model of spacecraft rendezvous."
     if arguments[:1] == ["evaluate"]:
@@ -166,11 +167,18 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         raise SystemExit(130) from None
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ArithmeticError) as error:
         if os.environ.get("OWM_TRACEBACK"):
             raise
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+def tolerant_output() -> None:
+    """Let what the encoding of redirected output lacks, such as Δ on Windows, come out as "?" instead of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
 
 
 def _option(arguments: list[str], name: str) -> str:

@@ -16,11 +16,11 @@ from owm.data import Episodes
 from owm.demo_report import Results, write_demo_report
 from owm.evaluation.docking import check_identical_starts, evaluation_config, trials
 from owm.evaluation.flights import Flights, succeeded, write_results
-from owm.evaluation.prediction import PredictionError
+from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.tables import docking_table
 from owm.files import write_atomically
 from owm.planning.config import PlannerConfig
-from owm.recordings import at_model_rate, read_recordings
+from owm.recordings import at_model_rate, training_episodes
 from owm.stages import Stages, peak_memory, source_digest
 from owm.training.config import PRESETS, TrainConfig
 from owm_envs.config import DockingConfig, load_config
@@ -94,8 +94,8 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
     announce("[bold]1/5 recording the corpus[/]")
     corpus = stages.run("corpus", ["corpus"], lambda: _record(out / "corpus", config, size, seed))
     announce("[bold]2/5 fitting and training[/]")
-    episodes = cache(lambda: _split(out, size))
-    fitted = stages.run("least squares", ["least-squares"], lambda: _fit(out, episodes()[0]))
+    episodes = cache(lambda: _read(out, size))
+    stages.run("least squares", ["least-squares"], lambda: _fit(out, episodes()[0]))
     trained = stages.run("training", ["train/model"], lambda: _train(out, *episodes(), size, seed))
     episodes.cache_clear()
     announce("[bold]3/5 predicting[/]")
@@ -112,7 +112,6 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
         seed=seed,
         size=size,
         corpus=corpus,
-        fit=fitted,
         training=trained,
         metrics=[json.loads(line) for line in (out / "train" / "metrics.jsonl").read_text().splitlines()],
         predictions=predictions,
@@ -150,12 +149,12 @@ def check(predictions: dict[str, list[PredictionError]], flights: Flights) -> di
         by_name = {each.name: each for each in errors}
         model, floor = by_name["world model"], by_name["constant velocity"]
         later = np.asarray(model.horizons) * model.dt >= 1.0
-        for quantity in ("position_m", "attitude_deg"):
+        for quantity in QUANTITIES:
             beaten &= bool(np.all(model.mean(quantity)[later] < floor.mean(quantity)[later]))
     docked = int(succeeded(flights, 1.0).sum())
     return {
-        "the world model predicts position and attitude better than constant velocity at every horizon from "
-        "1 s on, for held-out episodes of either kind": beaten,
+        "the world model predicts position, velocity, attitude and rate better than constant velocity at every "
+        "horizon from 1 s on, for held-out episodes of either kind": beaten,
         f"the world model comes within 1 m with no collision in at least half of its flights ({docked} of "
         f"{len(flights)})": 2 * docked >= len(flights),
     }
@@ -179,23 +178,17 @@ def _record(folder: Path, config: DockingConfig, size: Scale, seed: int) -> dict
             return generate(folder, config, request, announce=announce, progress=progress)
 
 
-def _split(out: Path, size: Scale) -> tuple[Episodes, Episodes]:
-    """Episodes to train on, and episodes to choose the best weights by: val, and every twelfth of train."""
+def _read(out: Path, size: Scale) -> tuple[Episodes, Episodes]:
     announce("reading the corpus ...")
-    train = read_recordings(out / "corpus", "train")
-    aside = train[11::12]
-    kept = [episode for i, episode in enumerate(train) if i % 12 != 11]
-    val = read_recordings(out / "corpus", "val")
-    return at_model_rate(kept, phases=size.phases), at_model_rate([*val, *aside], ports=TRAIN_PORTS)
+    return training_episodes(out / "corpus", size.phases)
 
 
-def _fit(out: Path, episodes: Episodes) -> dict:
+def _fit(out: Path, episodes: Episodes) -> None:
     from owm.baselines.least_squares import fit_least_squares
     from owm.model.checkpoint import save_world_model
 
     announce("fitting least squares ...")
     save_world_model(fit_least_squares(episodes), out / "least-squares")
-    return {"steps": episodes.steps, "episodes": len(episodes)}
 
 
 def _train(out: Path, episodes: Episodes, val: Episodes, size: Scale, seed: int) -> dict:

@@ -17,6 +17,7 @@ class Given(NamedTuple):
     mass: str
     noise: str
     images: str
+    feedback: str
     data: str
 
 
@@ -26,18 +27,23 @@ GIVEN_COLUMNS = (
     "mass and inertia",
     "noise model",
     "images",
+    "feedback of past errors",
     "learned from",
 )
 _MAP = "yes: geodesic field and clearance"
+_PROFILE = "only through the profile's braking limits"
+_CORRECTOR = "yes: bias corrector"
+_KINEMATICS = "kinematics of a rigid body; accelerations"
+_EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
-    "world model": Given(_MAP, "kinematics of a rigid body; accelerations learned", "no", "no", "no", "corpus"),
-    "least-squares": Given(_MAP, "kinematics of a rigid body; accelerations fitted", "no", "no", "no", "corpus"),
-    "oracle-mppi": Given(_MAP, "the simulator's own, started from the measurement", "yes", "no", "no", "nothing"),
-    "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "nothing"),
-    "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "nothing"),
-    "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "nothing"),
-    "excite": Given("no", "no", "yes", "no", "no", "nothing"),
-    "random": Given("no", "no", "no", "no", "no", "nothing"),
+    "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
+    "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
+    "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
+    "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
+    "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
+    "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "random", "orbit", "excite")

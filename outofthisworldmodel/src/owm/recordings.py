@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from owm.data import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.reader import dataset_folder, read, read_info
 from owm_envs.datasets.schema import Episode
-from owm_envs.station import PORT_NAMES
+from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
 RATE = 20
 """Frames a second that a dataset must have."""
@@ -52,3 +52,19 @@ def at_model_rate(recordings: Iterable[Episode], *, ports: Sequence[str] | None 
         if ports is None or PORT_NAMES[episode.port] in ports
     ]
     return from_episodes(kept, phases=phases)
+
+
+def training_episodes(path: str | os.PathLike, phases: int = 5) -> tuple[Episodes, Episodes]:
+    """Read what to train on, and what to choose the best weights by: val, and every twelfth episode of train.
+
+    Args:
+        path: a 20 Hz dataset with the splits train and val.
+        phases: offsets of the model's grid in the recording to train on, as `from_episodes` takes it.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_recordings` and `at_model_rate`.
+    """
+    train, val = read_recordings(path, "train"), read_recordings(path, "val")
+    aside = train[11::12]
+    kept = [episode for i, episode in enumerate(train) if i % 12 != 11]
+    return at_model_rate(kept, phases=phases), at_model_rate([*val, *aside], ports=TRAIN_PORTS)

@@ -3,7 +3,7 @@
 All calls run in JAX's 64-bit mode, whatever the caller's; the state is opaque between calls.
 """
 
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -47,6 +47,11 @@ class BatchProgram:
         with jax.enable_x64(True):
             words = np.asarray([[seed >> 32 & 0xFFFFFFFF, seed & 0xFFFFFFFF] for seed in seeds], np.uint32)
             return jax.random.wrap_key_data(words, impl="threefry2x32")
+
+    def choose_keys(self, seeded: np.ndarray, seeds: list[int], following: jax.Array) -> jax.Array:
+        """The key of its seed for each slot that is seeded, `following` for the others."""
+        with jax.enable_x64(True):
+            return jnp.where(seeded, self.keys(seeds), following)
 
     def reset(self, keys, ports) -> tuple[EnvState, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode in every slot: keys (B,), ports (B,) with -1 for a drawn one."""
@@ -108,7 +113,7 @@ class BatchProgram:
         return state, StepOutput(result, self._info(params, state), final_observation, final_info)
 
 
-@cache
+@lru_cache(maxsize=32)
 def batch_program(config: DockingConfig, autoreset: AutoresetMode) -> BatchProgram:
     """The program of a configuration, shared by all environments that have it."""
     return BatchProgram(config, autoreset)

@@ -107,7 +107,7 @@ class _Shell:
             f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
             f"clearance {float(host.clearance[slot]):6.2f} m (least)",
         ]
-        boxes = np.asarray(self._program.params.hull)
+        boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
         return draw_schematic(boxes, goal_poses(), view, np.asarray(self._paths[slot]), port, lines)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -129,7 +129,8 @@ class DockingGymEnv(_Shell, gymnasium.Env):
     """One docking episode at a time.
 
     Args:
-        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file.
+        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file (a `str`, if the spec is to
+            survive JSON).
         render_mode: None or "rgb_array".
         overrides: fields of `DockingConfig`, and `preset`.
 
@@ -155,7 +156,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if seed is None else seed])
         self._state, observation, info = self._program.reset(keys, ports)
         self._new_paths(info, [0])
-        return observation[0], _scalar_info(info)
+        return observation[0].copy(), _scalar_info(info)
 
     def step(self, action):
         """Hold an action [N, N m] (or fractions of the limits when normalised) for one decision."""
@@ -166,7 +167,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         result = output.result
         self._extend_paths(output.info, np.zeros(1, bool))
         return (
-            result.observation[0],
+            result.observation[0].copy(),
             float(result.reward[0]),
             bool(result.terminated[0]),
             bool(result.truncated[0]),
@@ -186,7 +187,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
     Args:
         num_envs: slots.
         config, render_mode, overrides: as for `DockingGymEnv`.
-        autoreset_mode: one of Gymnasium's `AutoresetMode`.
+        autoreset_mode: one of Gymnasium's `AutoresetMode`, or its name (which survives the spec's JSON).
 
     `reset(options={"dock_port": NAME or one per slot, "reset_mask": (num_envs,) bool})`. A slot whose action is not
     finite ends as "invalid_action". In `info`, arrays are batched; a mask `_name` says where `name` is set.
@@ -226,10 +227,11 @@ class DockingVectorEnv(_Shell, VectorEnv):
         ports = self._slot_ports(options)
         mask = self._reset_mask(options)
         seeds = self._seeds(seed)
-        if all(s is None for s in seeds) and self._state is not None:
-            keys = self._state.next_key
-        else:
+        if self._state is None:
             keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if s is None else s for s in seeds])
+        else:
+            seeded = np.array([s is not None for s in seeds])
+            keys = self._program.choose_keys(seeded, [s or 0 for s in seeds], self._state.next_key)
         if self._state is None or mask.all():
             if not mask.all():
                 raise gymnasium.error.ResetNeeded("the first reset() must start every slot: no reset_mask yet")
@@ -244,6 +246,9 @@ class DockingVectorEnv(_Shell, VectorEnv):
     def step(self, actions):
         """Hold one action (num_envs, 6) per slot for one decision."""
         actions = self._actions(actions, (self.num_envs, 6))
+        broken = np.flatnonzero(~np.isfinite(actions).all(axis=1))
+        if broken.size:
+            gymnasium.logger.warn(f"the actions of slots {broken.tolist()} are not finite: their episodes end")
         was_ended = self._ended if self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP else None
         self._state, output = self._program.step(self._state, actions)
         result = output.result
@@ -258,7 +263,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self._ended = ended
         self._extend_paths(output.info, restarted)
         self._observation = result.observation
-        return self._observation.copy(), result.reward.astype(np.float64), result.terminated, result.truncated, info
+        terminated, truncated = result.terminated.copy(), result.truncated.copy()
+        return self._observation.copy(), result.reward.astype(np.float64), terminated, truncated, info
 
     def render(self):
         """A picture per slot, or None without a render mode."""
@@ -297,7 +303,8 @@ def _autoreset_mode(mode) -> AutoresetMode:
 
 
 def _named(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {**info, "port": _PORTS[info["port"]], "outcome": _OUTCOMES[info["outcome"]]}
+    named = {name: value.copy() for name, value in info.items()}
+    return {**named, "port": _PORTS[info["port"]], "outcome": _OUTCOMES[info["outcome"]]}
 
 
 def _scalar_info(info: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -306,4 +313,4 @@ def _scalar_info(info: dict[str, np.ndarray]) -> dict[str, Any]:
 
 def _vector_info(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
     named = _named(info)
-    return {**named, **{f"_{name}": mask for name in named}}
+    return {**named, **{f"_{name}": mask.copy() for name in named}}

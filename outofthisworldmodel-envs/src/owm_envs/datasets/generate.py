@@ -160,7 +160,7 @@ def generate(
 
 def _open_partial(partial: Path, settings: dict, announce) -> None:
     marker = partial / "generation.json"
-    if partial.exists():
+    if partial.exists() and any(partial.iterdir()):
         try:
             begun = json.loads(marker.read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -171,7 +171,7 @@ def _open_partial(partial: Path, settings: dict, announce) -> None:
             )
         announce(f"resuming {partial}")
     else:
-        partial.mkdir(parents=True)
+        partial.mkdir(parents=True, exist_ok=True)
         write_json(settings, marker)
 
 

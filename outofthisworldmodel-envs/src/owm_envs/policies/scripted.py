@@ -276,6 +276,8 @@ class DockGeodesicPolicy:
     vehicle: Vehicle
     field: Any
     """A `GeodesicField`."""
+    rows: Int[Array, "8"]
+    """Its row of each port, -1 where it has none: there the action is not finite, which ends the episode."""
     layout: ObservationLayout = field(metadata=_STATIC)
     name: ClassVar[str] = "dock-geodesic"
 
@@ -289,7 +291,9 @@ class DockGeodesicPolicy:
 
         view = read_view(self.layout, observation)
         dtype = observation.dtype
-        cost, gradient = cost_to_go(self.field, state, view.position)
+        row = jnp.asarray(self.rows)[state]
+        cost, gradient = cost_to_go(self.field, jnp.maximum(row, 0), view.position)
+        cost = jnp.where(row < 0, jnp.nan, cost)
         gap = clearance(self.field, view.position)
         cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
         speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
@@ -339,6 +343,9 @@ def make_policy(name: str, env: "DockingEnv", *, geodesic_field: Any = None) -> 
         from owm_envs.geodesic import load_field
 
         geodesic_field = load_field()
+    from owm_envs.geodesic import field_rows
+
+    rows = field_rows(geodesic_field)
     # On the device once, not with every call: the field takes 150 MB.
     geodesic_field = jax.tree.map(jnp.asarray, geodesic_field)
-    return DockGeodesicPolicy(vehicle, geodesic_field, layout=layout)
+    return DockGeodesicPolicy(vehicle, geodesic_field, rows, layout=layout)

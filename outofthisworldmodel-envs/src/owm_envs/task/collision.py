@@ -19,30 +19,33 @@ def swept_clearance(
     """
     start, end, radius, boxes = (jax.lax.stop_gradient(jnp.asarray(x)) for x in (start, end, radius, boxes))
     half = jnp.sqrt(jnp.sum((end - start) ** 2)) / 2
-    bounds = _point_distances((start + end) / 2, boxes) - half
-    nearest = jnp.min(bounds)
+    middle = (start + end) / 2
+    nearest = jnp.sqrt(jnp.min(_squared_distances(middle, boxes))) - half
 
     def open_question(carry):
-        bounds, best = carry
-        least = jnp.min(bounds)
-        return (nearest < radius) & (least < best) & (best > 0)
+        _, least, best = carry
+        return (least < radius) & (least < best) & (best > 0)
 
     def examine(carry):
-        bounds, best = carry
-        index = jnp.argmin(bounds)
+        seen, _, best = carry
+        # Computed again rather than carried: where no episode is near the hull, nothing but the minimum is stored.
+        squared = jnp.where(seen, jnp.inf, _squared_distances(middle, boxes))
+        index = jnp.argmin(squared)
         best = jnp.minimum(best, swept_distance(start, end, boxes[index]))
-        return bounds.at[index].set(jnp.inf), best
+        least = jnp.sqrt(jnp.min(squared.at[index].set(jnp.inf))) - half
+        return seen.at[index].set(True), least, best
 
-    _, best = jax.lax.while_loop(open_question, examine, (bounds, jnp.full_like(nearest, jnp.inf)))
+    unseen = jnp.zeros(boxes.shape[0], bool)
+    *_, best = jax.lax.while_loop(open_question, examine, (unseen, nearest, jnp.full_like(nearest, jnp.inf)))
     return jnp.where(nearest < radius, best, nearest) - radius
 
 
-def _point_distances(point: Float[Array, "3"], boxes: Float[Array, "N 2 3"]) -> Float[Array, "N"]:
+def _squared_distances(point: Float[Array, "3"], boxes: Float[Array, "N 2 3"]) -> Float[Array, "N"]:
     squared = 0
     for axis in range(3):
         gap = jnp.maximum(boxes[:, 0, axis] - point[axis], point[axis] - boxes[:, 1, axis])
         squared = squared + jnp.maximum(gap, 0) ** 2
-    return jnp.sqrt(squared)
+    return squared
 
 
 def swept_distance(start: Float[Array, "3"], end: Float[Array, "3"], box: Float[Array, "2 3"]) -> Float[Array, ""]:

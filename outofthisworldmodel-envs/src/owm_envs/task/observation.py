@@ -69,10 +69,11 @@ class ObservationLayout:
             return epoch
         return epoch * EPOCH_SCALE.astype(epoch.dtype) + np.array([self.reference_day, 0], epoch.dtype)
 
-    def wrench(self, action: Float[Array, "6"]) -> Float[Array, "6"]:
-        """The body wrench [N, N m] of an action, clipped to the limits."""
-        limit = jnp.asarray(self.wrench_limit, action.dtype)
-        return jnp.clip(action * limit if self.normalize else action, -limit, limit)
+    def wrench(self, action: Float[Array, "6"], limit: Float[Array, "6"] | None = None) -> Float[Array, "6"]:
+        """The body wrench [N, N m] of an action, clipped to `limit`, the configured one when None."""
+        scale = jnp.asarray(self.wrench_limit, action.dtype)
+        limit = scale if limit is None else limit.astype(action.dtype)
+        return jnp.clip(action * scale if self.normalize else action, -limit, limit)
 
     def action(self, wrench: Float[Array, "... 6"]) -> Float[Array, "... 6"]:
         """The action that commands a body wrench [N, N m]; NumPy in, NumPy out."""

@@ -47,13 +47,12 @@ def evaluation_config(shell: str = "100-225", **overrides: Any) -> DockingConfig
         raise ValueError(f"unknown shell {shell!r}; known: {', '.join(SHELLS)}")
     low, high = SHELLS[shell]
     standard = {
-        "fidelity": "iss-numerical",
         "noise": "cooperative",
         "steps_per_action": 5,
         "collision_terminates": False,
         "reset": {"radius_min": low, "radius_max": high},
     }
-    return load_config(standard, **overrides)
+    return load_config(standard, **{"fidelity": "iss-numerical"} | overrides)
 
 
 def trials(
@@ -120,7 +119,7 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
     config, layout = env.config, env.layout
     decisions = round(config.horizon / config.decision_dt)
     observation, info = env.reset(seed=seeds.tolist(), options={"dock_port": [int(port) for port in ports]})
-    digest = np.array([start_digest(view) for view in info["true_state"]])
+    digest = np.array([start_digest(*start) for start in zip(info["true_state"], info["epoch"], ports)])
     path = [info["true_state"]] if record else []
     running = np.ones(len(seeds), bool)
     flown = np.zeros(len(seeds))
@@ -180,9 +179,9 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
     )
 
 
-def start_digest(view: Float[np.ndarray, "13"]) -> str:
-    """Fingerprint of a true initial state."""
-    return sha256(np.ascontiguousarray(view, np.float64).tobytes()).hexdigest()[:16]
+def start_digest(view: Float[np.ndarray, "13"], epoch: Float[np.ndarray, "2"], port: int) -> str:
+    """Fingerprint of a true initial state, its epoch (day, seconds) and the port to fly to."""
+    return sha256(np.concatenate([view, epoch, [port]]).astype(np.float64).tobytes()).hexdigest()[:16]
 
 
 def check_identical_starts(flights: Sequence[Flights]) -> str:

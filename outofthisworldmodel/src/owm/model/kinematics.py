@@ -46,11 +46,6 @@ def apply_inverse(matrix: Float[Array, "i j"], vector: Float[Array, "i"]) -> Flo
     return jnp.sum(matrix * vector[:, None], axis=0)
 
 
-def toward(q: Float[Array, "4"], reference: Float[Array, "4"]) -> Float[Array, "4"]:
-    """Return `q` or `-q`, whichever lies on the side of `reference`, so that a sequence stays continuous."""
-    return jnp.where(jnp.sum(q * reference) < 0.0, -q, q)
-
-
 class Motion(NamedTuple):
     """A relative view expressed in the body frame that the chaser had at an anchor pose.
 

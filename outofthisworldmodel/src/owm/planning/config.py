@@ -119,7 +119,7 @@ class PlannerConfig(BaseModel):
     """m, between bounding sphere and hull."""
     collision: NonNegative = 1000.0
     """Cost of touching the hull, times one plus the fraction of the horizon that remains; with 0 and
-    clearance 0 the planner is blind to the hull, as the paper's is."""
+    clearance 0 the planner is blind to the hull."""
     top_speed: PositiveFloat = 4.0
     """m/s; the wanted speed is the least of this and the next three. Prototype, as all of the profile."""
     braking: PositiveFloat = 0.08

@@ -14,7 +14,7 @@ from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, init_planner, plan
 from owm_envs.config import DockingConfig
 from owm_envs.env import DockingEnv
-from owm_envs.geodesic import GeodesicField
+from owm_envs.geodesic import GeodesicField, field_rows
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 
 
@@ -253,12 +253,6 @@ class PlannerPolicy:
             replans=put(state.replans, state.replans[due] + 1),
             planner=jax.tree.map(put, state.planner, planners),
         )
-
-
-def field_rows(field: GeodesicField) -> Int[np.ndarray, "8"]:
-    """The row of a field that belongs to each port of the station, -1 where it has none."""
-    gaps = np.linalg.norm(goal_poses()[:, None, :3] - np.asarray(field.goals)[None], axis=-1)
-    return np.where(gaps.min(axis=1) < 1e-3, gaps.argmin(axis=1), -1)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

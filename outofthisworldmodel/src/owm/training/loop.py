@@ -71,7 +71,8 @@ def train(
         name: what reports will call the model.
 
     Raises:
-        ValueError: if the data doesn't fit the configuration, or `out_dir` holds another run.
+        ValueError: if the data doesn't fit the configuration, or `out_dir` holds another run or a damaged one.
+        FloatingPointError: the loss diverged.
     """
     out = Path(out_dir)
     _check_data(config, episodes_train, episodes_val)
@@ -193,16 +194,18 @@ def _claim(out: Path, fingerprint: dict[str, Any]) -> None:
     """Mark the directory as this run's, or refuse it."""
     file = out / "run.json"
     if file.exists():
-        found = json.loads(file.read_text(encoding="utf-8"))
-        if found != fingerprint:
+        try:
+            found = json.loads(file.read_text(encoding="utf-8"))
             parts = [part for part in fingerprint if found.get(part) != fingerprint[part]]
+        except (ValueError, AttributeError) as error:
+            raise CheckpointError(f"{file} is damaged ({error}): delete {out} or choose another folder") from error
+        if parts:
             raise ValueError(
-                f"{out} holds a run that differs in {', '.join(parts)}: choose another out_dir, or start over with "
-                "resume=False"
+                f"{out} holds a run that differs in {', '.join(parts)}: delete it or choose another folder"
             )
         return
     if (out / "state").exists() or (out / "model").exists():
-        raise CheckpointError(f"{out} holds a state or model without run.json: start over with resume=False")
+        raise CheckpointError(f"{out} holds a state or model without run.json: delete it or choose another folder")
     fresh = out / "run.json.writing"
     fresh.write_text(json.dumps(fingerprint, indent=1) + "\n", encoding="utf-8")
     os.replace(fresh, file)
@@ -212,9 +215,14 @@ def _restore(manager: ocp.CheckpointManager, state: TrainState) -> TrainState:
     step = manager.latest_step()
     if step is None:
         return state
-    restored = manager.restore(
-        step, args=ocp.args.StandardRestore(jax.tree.map(ocp.utils.to_shape_dtype_struct, state))
-    )
+    target = ocp.args.StandardRestore(jax.tree.map(ocp.utils.to_shape_dtype_struct, state))
+    try:
+        restored = manager.restore(step, args=target)
+    except Exception as error:  # what is raised for a damaged file is no part of orbax's interface
+        folder = manager.directory
+        raise CheckpointError(
+            f"{folder / str(step)} is damaged ({type(error).__name__}): delete {folder.parent} or choose another folder"
+        ) from error
     # By way of NumPy: arrays that come committed to a device would have the training step compiled a second time.
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
 
