@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from owm_envs.station import hull_boxes
@@ -37,6 +37,7 @@ def test_one_box_against_a_sampled_segment(start, travel, corner, size):
 
 @settings(max_examples=60, deadline=None)
 @given(start=points, travel=st.tuples(*[st.floats(-29, 29)] * 3))
+@example(start=(19.0, 0.0, 0.0), travel=(0.0, 4.0, 0.0))  # the first box examined is not the nearest
 def test_hull_against_a_sampled_segment(start, travel):
     with jax.enable_x64(True):
         start, end = np.array(start), np.add(start, travel)

@@ -24,7 +24,7 @@ def swept_clearance(
 
     def open_question(carry):
         _, least, best = carry
-        return (least < radius) & (least < best) & (best > 0)
+        return (nearest < radius) & (least < best) & (best > 0)
 
     def examine(carry):
         seen, _, best = carry
