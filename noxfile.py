@@ -137,3 +137,12 @@ def lerobot(session: nox.Session) -> None:
         session.run("owm-envs", "generate", *arguments, "--out", dataset)
         offline = {"OWM_LEROBOT_DATASET": dataset, "HF_HUB_OFFLINE": "1"}
         session.run("pytest", "outofthisworldmodel-envs/tests_lerobot", *session.posargs, env=offline)
+
+
+@nox.session
+def sb3(session: nox.Session) -> None:
+    """Test the adapter with the real Stable-Baselines3, its example too (brings torch: large)."""
+    envs = _editable("sb3,test", "outofthisworldmodel-envs")
+    _install(session, *_editable("", "astrojax"), *envs, "matplotlib>=3.8")
+    cache = {name: os.environ.get(name, value) for name, value in JAX_CACHE.items()}
+    session.run("pytest", "outofthisworldmodel-envs/tests_sb3", *session.posargs, env=cache)

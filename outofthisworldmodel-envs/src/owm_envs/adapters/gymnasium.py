@@ -63,7 +63,7 @@ class _Shell:
             return np.full(self._num_slots, self._port_choice(given), np.int32)
         if len(given) != self._num_slots:
             raise ValueError(f"dock_port names {len(given)} ports for {self._num_slots} environments")
-        return np.array([self._port_choice(port) for port in given], np.int32)
+        return np.array([-1 if port is None else self._port_choice(port) for port in given], np.int32)
 
     def _check_options(self, options: Mapping[str, Any] | None, known: tuple[str, ...]) -> Mapping[str, Any]:
         for key in options or {}:
@@ -189,8 +189,9 @@ class DockingVectorEnv(_Shell, VectorEnv):
         config, render_mode, overrides: as for `DockingGymEnv`.
         autoreset_mode: one of Gymnasium's `AutoresetMode`, or its name (which survives the spec's JSON).
 
-    `reset(options={"dock_port": NAME or one per slot, "reset_mask": (num_envs,) bool})`. A slot whose action is not
-    finite ends as "invalid_action". In `info`, arrays are batched; a mask `_name` says where `name` is set.
+    `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool})`. A slot whose
+    action is not finite ends as "invalid_action". In `info`, arrays are batched; a mask `_name` says where `name` is
+    set.
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's interface
