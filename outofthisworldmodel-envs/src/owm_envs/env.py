@@ -15,7 +15,7 @@ from owm_envs.params import Params, params_from_config
 from owm_envs.task.collision import swept_clearance
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked
 from owm_envs.task.observation import ObservationLayout
-from owm_envs.task.reset import named_key, sample_start
+from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.sensors import goal_error, measure
 
@@ -56,7 +56,8 @@ class DockingEnv:
 
     `reset` and `step` are pure and written for one episode: `vmap` them over states and keys. Actions are held for
     `config.steps_per_action` simulation steps. Slots chain their keys: after an episode, `reset(params,
-    state.next_key)` starts the next one reproducibly.
+    state.next_key)` starts the next one reproducibly. `place`, `begin`, `advance`, `finish` and `observe` are the
+    pieces they are made of, for environments that put something in between.
 
     Args:
         config: as `load_config` takes it.
@@ -93,12 +94,16 @@ class DockingEnv:
         """
         next_key, episode_key = jax.random.split(key)
         start = sample_start(params, key=named_key(episode_key, "start"), port=jnp.asarray(port, jnp.int32))
+        return self.observe(params, self.place(params, start, episode_key, next_key))
+
+    def place(self, params: Params, start: Start, episode_key: Key[Array, ""], next_key: Key[Array, ""]) -> EnvState:
+        """The state of an episode about to begin at `start`, not observed yet."""
         physics = self.dynamics.init(params, start.epoch, start.view)
         delay = self.config.chaser.actuation_delay
         physics = physics._replace(actuator=jnp.zeros((delay, 6), start.view.dtype))
         clearance = self._clearance(params, start.view[:3], start.view[:3])
         closest = self._approach(params, start.port, start.view, physics.elapsed)
-        state = EnvState(
+        return EnvState(
             physics=physics,
             view=start.view,
             measured=start.view,
@@ -111,23 +116,17 @@ class DockingEnv:
             episode_key=episode_key,
             next_key=next_key,
         )
-        return self._observe(params, state)
 
     def step(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, StepResult]:
         """Hold an action for one decision; an episode that has ended stays as it is, with reward zero.
 
         An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`.
         """
-        dtype = state.view.dtype
-        was_running = state.outcome == Outcome.RUNNING
-        valid = jnp.all(jnp.isfinite(action))
-        wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(dtype), params.chaser.wrench_limit)
-        invalid = was_running & ~valid
-        started = state._replace(outcome=jnp.where(invalid, Outcome.INVALID_ACTION, state.outcome).astype(jnp.int32))
+        started, wrench = self.begin(params, state, action)
 
         def substep(carry, _):
             now, touched = carry
-            after, touches = self._advance(params, now, wrench)
+            after, touches = self.advance(params, now, wrench)
             running = now.outcome == Outcome.RUNNING
             kept = jax.tree.map(lambda new, old: jnp.where(running, new, old), after, now)
             return (kept, touched | (touches & running)), None
@@ -138,7 +137,28 @@ class DockingEnv:
         else:
             carry, _ = jax.lax.scan(substep, carry, length=self.config.steps_per_action)
         ended, touched = carry
+        return self.finish(params, state, ended, wrench, touched)
 
+    def begin(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, Float[Array, "6"]]:
+        """Before a decision's first simulation step: the state, ended if the action is not finite, and the wrench."""
+        valid = jnp.all(jnp.isfinite(action))
+        wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(state.view.dtype), params.chaser.wrench_limit)
+        invalid = (state.outcome == Outcome.RUNNING) & ~valid
+        outcome = jnp.where(invalid, Outcome.INVALID_ACTION, state.outcome).astype(jnp.int32)
+        return state._replace(outcome=outcome), wrench
+
+    def finish(
+        self, params: Params, state: EnvState, ended: EnvState, wrench: Float[Array, "6"], touched: Bool[Array, ""]
+    ) -> tuple[EnvState, StepResult]:
+        """After a decision's last simulation step: the horizon, the reward and the observation.
+
+        Args:
+            state: before the decision.
+            ended: after its simulation steps.
+            wrench: the command held, N and N m.
+            touched: whether any of them touched something.
+        """
+        was_running = state.outcome == Outcome.RUNNING
         count = state.count + was_running
         late = (ended.outcome == Outcome.RUNNING) & (count >= params.horizon_steps)
         ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
@@ -152,11 +172,12 @@ class DockingEnv:
             ended.outcome == Outcome.DOCKED,
             ended.outcome == Outcome.ESCAPED,
         )
-        observed, observation = self._observe(params, ended)
+        observed, observation = self.observe(params, ended)
         outcome = ended.outcome
         terminated = (outcome == Outcome.DOCKED) | (outcome == Outcome.COLLIDED) | (outcome == Outcome.ESCAPED)
         truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION)
-        return observed, StepResult(observation, jnp.where(was_running, earned, 0).astype(dtype), terminated, truncated)
+        earned = jnp.where(was_running, earned, 0).astype(state.view.dtype)
+        return observed, StepResult(observation, earned, terminated, truncated)
 
     def info(self, params: Params, state: EnvState) -> dict[str, Array]:
         """The truth behind a state: for recording and scoring, never for a policy.
@@ -179,7 +200,7 @@ class DockingEnv:
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
         }
 
-    def _advance(self, params, state, wrench):
+    def advance(self, params: Params, state: EnvState, wrench: Float[Array, "6"]) -> tuple[EnvState, Bool[Array, ""]]:
         """One simulation step and its events, whatever the outcome so far; also whether the hull was touched."""
         queue = jnp.concatenate([state.physics.actuator, wrench[None]])
         delivered = self._deliver(params, queue[0])
@@ -228,7 +249,8 @@ class DockingEnv:
         epoch = state.physics.epoch
         return jnp.stack(normalize_epoch(epoch[0], epoch[1] + state.physics.elapsed))
 
-    def _observe(self, params, state):
+    def observe(self, params: Params, state: EnvState) -> tuple[EnvState, Float[Array, "O"]]:
+        """Measure: the state with its measurement, and the observation."""
         key = jax.random.fold_in(named_key(state.episode_key, "noise"), state.count)
         measured = measure(params.noise, state.view, key=key)
         error = goal_error(measured, params.goals[state.port])
