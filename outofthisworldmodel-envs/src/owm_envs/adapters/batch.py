@@ -44,9 +44,7 @@ class BatchProgram:
 
     def keys(self, seeds: list[int]) -> jax.Array:
         """One key per slot from its seed; a seed may have up to 64 bits."""
-        with jax.enable_x64(True):
-            words = np.asarray([[seed >> 32 & 0xFFFFFFFF, seed & 0xFFFFFFFF] for seed in seeds], np.uint32)
-            return jax.random.wrap_key_data(words, impl="threefry2x32")
+        return seed_keys(seeds)
 
     def choose_keys(self, seeded: np.ndarray, seeds: list[int], following: jax.Array) -> jax.Array:
         """The key of its seed for each slot that is seeded, `following` for the others."""
@@ -117,6 +115,13 @@ class BatchProgram:
 def batch_program(config: DockingConfig, autoreset: AutoresetMode) -> BatchProgram:
     """The program of a configuration, shared by all environments that have it."""
     return BatchProgram(config, autoreset)
+
+
+def seed_keys(seeds: list[int]) -> jax.Array:
+    """One key per seed, of up to 64 bits."""
+    with jax.enable_x64(True):
+        words = np.asarray([[seed >> 32 & 0xFFFFFFFF, seed & 0xFFFFFFFF] for seed in seeds], np.uint32)
+        return jax.random.wrap_key_data(words, impl="threefry2x32")
 
 
 def select(mask, new, old):

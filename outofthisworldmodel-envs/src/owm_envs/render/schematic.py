@@ -273,7 +273,7 @@ def _draw_port(image, goal: np.ndarray, view: _View, buffer, active: bool, colou
     cv2.circle(image, centre, round((4.5 if active else 2.8) * size * 16), tone, -1 if active else 1, cv2.LINE_AA, 4)
 
 
-def _draw_chaser(image: np.ndarray, state: np.ndarray, view: _View, buffer: np.ndarray, unit: float) -> None:
+def _draw_chaser(image, state: np.ndarray, view: _View, buffer: np.ndarray, colour: tuple, unit: float) -> None:
     import cv2
 
     x, y, w, h = view.rectangle
@@ -296,8 +296,8 @@ def _draw_chaser(image: np.ndarray, state: np.ndarray, view: _View, buffer: np.n
     if not hidden:
         highlight = pixel + radius * np.array([-0.28, -0.3])
         cv2.circle(image, at(highlight), round(0.5 * radius * 16), body, -1, cv2.LINE_AA, 4)
-    cv2.circle(image, at(pixel), round(radius * 16), _PATH, 1, cv2.LINE_AA, 4)
-    cv2.arrowedLine(image, at(pixel), at(tip), _PATH, 2, cv2.LINE_AA, 4, 0.32)
+    cv2.circle(image, at(pixel), round(radius * 16), colour, 1, cv2.LINE_AA, 4)
+    cv2.arrowedLine(image, at(pixel), at(tip), colour, 2, cv2.LINE_AA, 4, 0.32)
 
 
 def _zoom(position: np.ndarray, axes: Sequence, aspect: float, least: float) -> float:
@@ -306,6 +306,71 @@ def _zoom(position: np.ndarray, axes: Sequence, aspect: float, least: float) -> 
     sides = (abs(offset @ np.array(side)) / part for view in axes for side, part in zip(view, (aspect, 1.0)))
     reach = max(least, 1.1 * max(sides))
     return next((zoom for zoom in _ZOOMS if zoom >= reach), _ZOOMS[-1])
+
+
+class Vehicle(NamedTuple):
+    """A chaser to be drawn: (13,) true state, (T, 3) positions so far, its port, and the colours of port and path."""
+
+    state: np.ndarray
+    path: np.ndarray
+    port: int
+    port_colour: tuple[int, int, int] = _ACTIVE
+    path_colour: tuple[int, int, int] = _PATH
+
+
+def _compose(boxes, goals, vehicles: Sequence[Vehicle], size: tuple[int, int]) -> tuple[np.ndarray, _Scene]:
+    """A frame but for its words, and the scene behind it. Raises ValueError as `draw_schematic` does."""
+    boxes, goals = np.asarray(boxes, np.float64), np.asarray(goals, np.float64)
+    vehicles = [v._replace(state=np.asarray(v.state, float), path=np.asarray(v.path, float)) for v in vehicles]
+    if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or goals.shape[1:] != (7,):
+        raise ValueError(f"boxes must have shape (N, 2, 3) and goals (P, 7); got {boxes.shape} and {goals.shape}")
+    for state, path, port, *_ in vehicles:
+        if state.shape != (13,) or path.reshape(-1, 3).shape != (len(path), 3):
+            raise ValueError(f"state must have shape (13,) and path (T, 3); got {state.shape} and {path.shape}")
+        if not 0 <= port < len(goals):
+            raise ValueError(f"active_port must be from 0 to {len(goals) - 1}; got {port}")
+    if size[0] < 160 or size[1] < 120:
+        raise ValueError(f"size must be at least (160, 120) pixels; got {tuple(size)}")
+
+    hull, size = np.ascontiguousarray(boxes).tobytes(), (int(size[0]), int(size[1]))
+    main_zoom, inset_zoom = _ZOOMS[0], _ZOOMS[1]
+    aspect = max(0.7 * size[0] / size[1], 1.2)
+    drawn = [vehicle for vehicle in vehicles if np.isfinite(vehicle.state).all()]
+    for vehicle in drawn:
+        main_zoom = _zoom(vehicle.state[:3], (_ISOMETRIC,), aspect, main_zoom)
+        inset_zoom = _zoom(vehicle.state[:3], (_TOP, _SIDE), 1.6, inset_zoom)
+    scene = _scene(hull, size, main_zoom, inset_zoom)
+    image = scene.image.copy()
+    known = len(goals) == len(PORTS)
+    held_out = [known and port.split == "held_out" for port in PORTS] + [False] * len(goals)
+    active = {vehicle.port: vehicle.port_colour for vehicle in vehicles}
+    for view, buffer in zip(scene.views, scene.depths):
+        x, y, w, h = view.rectangle
+        window = image[y : y + h, x : x + w]  # drawing stays inside the view
+        local = view._replace(rectangle=(0, 0, w, h))
+        main = view is scene.views[0]
+        for number, goal in enumerate(goals):
+            colour = active.get(number, _HELD_OUT if held_out[number] else _TRAIN)
+            if number in active or main:
+                _draw_port(window, goal, local, buffer, number in active, colour, scene.unit * (1.0 if main else 0.6))
+        for vehicle in vehicles:
+            path = vehicle.path.reshape(-1, 3)
+            path = path[np.isfinite(path).all(axis=1)]
+            path = path[np.unique(np.linspace(0, max(len(path) - 1, 0), 500).astype(int))] if len(path) > 500 else path
+            _polyline(window, path, local, buffer, vehicle.path_colour, 2 if main else 1)
+        for vehicle in drawn:
+            _draw_chaser(window, vehicle.state, local, buffer, vehicle.path_colour, scene.unit)
+    _legend(image, scene.unit)
+    return image, scene
+
+
+def _legend(image: np.ndarray, unit: float) -> None:
+    import cv2
+
+    for column, (label, colour) in enumerate((("train port", _TRAIN), ("held-out port", _HELD_OUT))):
+        at = np.array([22 + 110 * column, 48]) * unit
+        cv2.circle(image, tuple(np.round(at).astype(int).tolist()), max(round(3 * unit), 1), colour, 1, cv2.LINE_AA)
+        _write(image, label, at + (9 * unit, 4 * unit), 0.38 * unit, _MUTED)
 
 
 def draw_schematic(
@@ -335,57 +400,10 @@ def draw_schematic(
     Raises:
         ValueError: arrays of the wrong shape, a port out of range, or a picture under 160 by 120 pixels.
     """
-    import cv2
-
-    boxes, goals, state, path = (np.asarray(a, np.float64) for a in (boxes, goals, state, path))
-    if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or goals.shape[1:] != (7,):
-        raise ValueError(f"boxes must have shape (N, 2, 3) and goals (P, 7); got {boxes.shape} and {goals.shape}")
-    if state.shape != (13,) or path.reshape(-1, 3).shape != (len(path), 3):
-        raise ValueError(f"state must have shape (13,) and path (T, 3); got {state.shape} and {path.shape}")
-    if not 0 <= active_port < len(goals):
-        raise ValueError(f"active_port must be from 0 to {len(goals) - 1}; got {active_port}")
-    if size[0] < 160 or size[1] < 120:
-        raise ValueError(f"size must be at least (160, 120) pixels; got {tuple(size)}")
-
-    finite = bool(np.isfinite(state).all())
-    path = path.reshape(-1, 3)
-    path = path[np.isfinite(path).all(axis=1)]
-    path = path[np.unique(np.linspace(0, max(len(path) - 1, 0), 500).astype(int))] if len(path) > 500 else path
-    hull, size = np.ascontiguousarray(boxes).tobytes(), (int(size[0]), int(size[1]))
-    main_zoom, inset_zoom = _ZOOMS[0], _ZOOMS[1]
-    if finite:
-        aspect = max(0.7 * size[0] / size[1], 1.2)
-        main_zoom = _zoom(state[:3], (_ISOMETRIC,), aspect, main_zoom)
-        inset_zoom = _zoom(state[:3], (_TOP, _SIDE), 1.6, inset_zoom)
-    scene = _scene(hull, size, main_zoom, inset_zoom)
-    image = scene.image.copy()
-    known = len(goals) == len(PORTS)
-    held_out = [known and port.split == "held_out" for port in PORTS] + [False] * len(goals)
-    for view, buffer in zip(scene.views, scene.depths):
-        x, y, w, h = view.rectangle
-        window = image[y : y + h, x : x + w]  # drawing stays inside the view
-        local = view._replace(rectangle=(0, 0, w, h))
-        main = view is scene.views[0]
-        for number, goal in enumerate(goals):
-            active = number == active_port
-            colour = _ACTIVE if active else _HELD_OUT if held_out[number] else _TRAIN
-            if active or main:
-                _draw_port(window, goal, local, buffer, active, colour, scene.unit * (1.0 if main else 0.6))
-        _polyline(window, path, local, buffer, _PATH, 2 if main else 1)
-        if finite:
-            _draw_chaser(window, state, local, buffer, scene.unit)
+    image, scene = _compose(boxes, goals, [Vehicle(state, path, active_port)], size)
+    name = PORTS[active_port].name if len(goals) == len(PORTS) else f"port {active_port}"
     unit = scene.unit
-    _write(
-        image,
-        PORTS[active_port].name if known else f"port {active_port}",
-        (16 * unit, 28 * unit),
-        0.62 * unit,
-        _ACTIVE,
-    )
-    for column, (label, colour) in enumerate((("train port", _TRAIN), ("held-out port", _HELD_OUT))):
-        at = np.array([22 + 110 * column, 48]) * unit
-        cv2.circle(image, tuple(np.round(at).astype(int).tolist()), max(round(3 * unit), 1), colour, 1, cv2.LINE_AA)
-        _write(image, label, at + (9 * unit, 4 * unit), 0.38 * unit, _MUTED)
+    _write(image, name, (16 * unit, 28 * unit), 0.62 * unit, _ACTIVE)
     x, y, _, h = scene.panel
     for row, text in enumerate(text_lines):
         at = (x + 10 * unit, y + (20 + 17 * row) * unit)

@@ -1,0 +1,295 @@
+"""PettingZoo's `ParallelEnv` over a fleet: one compiled program and one host transfer a step for all chasers."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+import gymnasium
+import jax
+import numpy as np
+from gymnasium import spaces
+
+from owm_envs.adapters.batch import seed_keys, state_from_host, state_to_host
+from owm_envs.adapters.gymnasium import RENDER_MODES, _named
+from owm_envs.config import DockingConfig, load_config, unknown
+from owm_envs.fleet import FleetEnv, FleetState
+from owm_envs.station import goal_poses, port_index
+
+try:
+    from pettingzoo import AECEnv, ParallelEnv
+    from pettingzoo.utils.conversions import parallel_to_aec
+except ImportError as error:
+    raise ImportError(
+        f"owm_envs.pettingzoo needs PettingZoo ({error}): pip install 'outofthisworldmodel-envs[pettingzoo]'"
+    ) from error
+
+_MAX_SEED = 2**63
+
+
+def parallel_env(num_chasers: int = 3, config=None, **kwargs: Any) -> "DockingParallelEnv":
+    """Several chasers to distinct ports at once, acting together: `DockingParallelEnv` of the same arguments."""
+    return DockingParallelEnv(num_chasers, config, **kwargs)
+
+
+def raw_env(num_chasers: int = 3, config=None, **kwargs: Any) -> AECEnv:
+    """The same with the chasers acting in turn; time goes on when all of them have."""
+    return parallel_to_aec(parallel_env(num_chasers, config, **kwargs))
+
+
+env = raw_env  # actions are clipped and checked inside: nothing to wrap
+
+
+class FleetProgram:
+    """`reset` and `step` of one episode of several chasers, compiled once per configuration.
+
+    `traces` counts compilations by program.
+    """
+
+    def __init__(self, config: DockingConfig, num_chasers: int, observe_others: bool):
+        self.env = FleetEnv(num_chasers, config, observe_others=observe_others)
+        self.traces = {"reset": 0, "step": 0}
+        with jax.enable_x64(True):
+            self.params = self.env.default_params()
+        self._reset = jax.jit(self._reset_fleet)
+        self._step = jax.jit(self._step_fleet)
+
+    def reset(self, key, ports) -> tuple[FleetState, np.ndarray, dict[str, np.ndarray]]:
+        """Start an episode: a key, ports (N,) with -1 for a drawn one."""
+        with jax.enable_x64(True):
+            state, *host = self._reset(self.params, key, np.asarray(ports, np.int32))
+            return state, *jax.device_get(tuple(host))
+
+    def step(self, state, actions):
+        """Advance all chasers by one decision: actions (N, 6). Returns the state, a StepResult and the info."""
+        with jax.enable_x64(True):
+            state, *host = self._step(self.params, state, actions)
+            return state, *jax.device_get(tuple(host))
+
+    def _reset_fleet(self, params, key, ports):
+        self.traces["reset"] += 1
+        state, observations = self.env.reset(params, key=key, ports=ports)
+        return state, observations, self.env.info(params, state)
+
+    def _step_fleet(self, params, state, actions):
+        self.traces["step"] += 1
+        state, result = self.env.step(params, state, actions)
+        return state, result, self.env.info(params, state)
+
+
+@lru_cache(maxsize=32)
+def fleet_program(config: DockingConfig, num_chasers: int, observe_others: bool) -> FleetProgram:
+    """The program of a configuration, shared by all environments that have it."""
+    return FleetProgram(config, num_chasers, observe_others)
+
+
+class DockingParallelEnv(ParallelEnv):
+    """`num_chasers` agents "chaser_0", "chaser_1", ... that dock at distinct ports at once; see `FleetEnv`.
+
+    An agent leaves `agents` when its episode has ended; its vehicle stays where it is, an obstacle to the others.
+    Observations are laid out as `layout` (a `FleetLayout`) says; infos hold the truth, for scoring. `state()` is
+    the truth of the whole fleet, for centralised critics: for each chaser, its true relative view (13), true goal error
+    (12) and whether its episode is running.
+
+    Args:
+        num_chasers: agents, at most the number of configured ports.
+        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file.
+        observe_others: whether observations end with where the other chasers are.
+        render_mode: None or "rgb_array".
+        overrides: fields of `DockingConfig` (`fidelity="iss-hcw"`, `noise="cooperative"`, ...), and `preset`.
+
+    `reset(options={"dock_ports": NAMES})` assigns a port to each chaser, in order; what is None or missing is drawn.
+    An action outside the box is clipped; one that is not finite raises ValueError naming the agent.
+    """
+
+    metadata = {  # noqa: RUF012 - PettingZoo's interface
+        "name": "iss_docking_v0",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 20,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        num_chasers: int = 3,
+        config=None,
+        *,
+        observe_others: bool = True,
+        render_mode: str | None = None,
+        **overrides: Any,
+    ):
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
+        self.config: DockingConfig = load_config(config, **overrides)
+        self.render_mode = render_mode
+        self._observe_others = observe_others
+        self._program = fleet_program(self.config, num_chasers, observe_others)
+        self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
+        self.possible_agents = [f"chaser_{index}" for index in range(num_chasers)]
+        self.agents: list[str] = []
+        limit = np.ones(6) if self.config.normalize else np.asarray(self.layout.own.wrench_limit)
+        limit = limit.astype(np.float32)
+        self._action_spaces = {agent: spaces.Box(-limit, limit, dtype=np.float32) for agent in self.possible_agents}
+        self._observation_spaces = {
+            agent: spaces.Box(-np.inf, np.inf, (self.layout.size,), np.float32) for agent in self.possible_agents
+        }
+        self.state_space = spaces.Box(-np.inf, np.inf, (26 * num_chasers,), np.float32)
+        self._state: FleetState | None = None
+        self._info: dict[str, np.ndarray] = {}
+        self._paths: list[list[np.ndarray]] = []
+        self._random: np.random.Generator | None = None
+
+    @property
+    def fleet_env(self) -> FleetEnv:
+        """The pure environment."""
+        return self._program.env
+
+    @property
+    def layout(self):
+        """How an agent's observation is laid out: `layout.own` as that of a lone chaser, then the others."""
+        return self._program.env.layout
+
+    @property
+    def traces(self) -> dict[str, int]:
+        """Compilations so far of this configuration's programs."""
+        return dict(self._program.traces)
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The space of an agent's observations."""
+        return self._observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The space of an agent's actions: body force and torque [N, N m], or fractions of the limits."""
+        return self._action_spaces[agent]
+
+    def reset(self, seed: int | None = None, options: Mapping[str, Any] | None = None):
+        """Start an episode; without a seed it follows from the last one."""
+        ports = self._ports(options or {})
+        if seed is None and self._state is not None:
+            key = self._state.next_key
+        else:
+            if self._random is None or seed is not None:
+                self._random, _ = gymnasium.utils.seeding.np_random(seed)
+            key = seed_keys([int(self._random.integers(_MAX_SEED)) if seed is None else seed])[0]
+        self._state, observations, self._info = self._program.reset(key, ports)
+        self.agents = list(self.possible_agents)
+        self._paths = [[position] for position in self._info["true_state"][:, :3]]
+        return self._by_agent(observations, self.agents), self._infos(self.agents)
+
+    def step(self, actions: Mapping[str, np.ndarray]):
+        """Hold each agent's action for one decision.
+
+        Raises:
+            ValueError: an agent is unknown, or has no action, or one of the wrong shape or not finite.
+        """
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        acting, stacked = self.agents, self._stacked(actions)
+        if not acting:
+            return {}, {}, {}, {}, {}
+        self._state, result, self._info = self._program.step(self._state, stacked)
+        for index, path in enumerate(self._paths):
+            if self.possible_agents[index] in acting:
+                path.append(self._info["true_state"][index, :3])
+        rewards, terminated, truncated = (
+            {agent: values[self.possible_agents.index(agent)].item() for agent in acting}
+            for values in (result.reward, result.terminated, result.truncated)
+        )
+        self.agents = [agent for agent in acting if not (terminated[agent] or truncated[agent])]
+        return self._by_agent(result.observation, acting), rewards, terminated, truncated, self._infos(acting)
+
+    def state(self) -> np.ndarray:
+        """The truth of the whole fleet, float32: view 13, goal error 12 and whether it is running, of each chaser."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before state()")
+        running = (self._info["outcome"] == 0)[:, None]
+        parts = [self._info["true_state"], self._info["true_goal_error"], running]
+        return np.concatenate(parts, axis=1).astype(np.float32).ravel()
+
+    def render(self) -> np.ndarray | None:
+        """The fleet as an RGB picture, or None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("call reset() before render()")
+        from owm_envs.render.fleet import draw_fleet
+
+        named = _named(self._info)
+        distances = np.linalg.norm(named["true_goal_error"][:, :3], axis=1)
+        notes = [
+            f"{distance:.1f} m" if outcome == "running" else str(outcome)
+            for distance, outcome in zip(distances, named["outcome"])
+        ]
+        seconds = float(jax.device_get(self._state.chasers.physics.elapsed))
+        boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
+        return draw_fleet(
+            boxes,
+            goal_poses(),
+            self._info["true_state"],
+            [np.asarray(path) for path in self._paths],
+            self._info["port"].tolist(),
+            notes,
+            f"{self.config.fidelity}   t {seconds:.1f} s",
+        )
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def _ports(self, options: Mapping[str, Any]) -> np.ndarray:
+        for name in options:
+            if name != "dock_ports":  # PettingZoo asks that any option be taken
+                warnings.warn(unknown("reset option", name, ("dock_ports",)), stacklevel=3)
+        count = len(self.possible_agents)
+        given = options.get("dock_ports") or []
+        if isinstance(given, (str, bytes)) or not isinstance(given, Sequence) or len(given) > count:
+            raise ValueError(f"dock_ports must be a list of at most {count} port names, got {given!r}")
+        assigned = [port_index(name) for name in given if name is not None]
+        if len(set(assigned)) < len(assigned):
+            raise ValueError(f"dock_ports must be distinct, got {', '.join(map(str, given))}")
+        if len(set(assigned) | {port_index(name) for name in self.config.ports}) < count:
+            raise ValueError(f"dock_ports {given!r} leave too few ports for {count} chasers")
+        ports = [-1 if name is None else port_index(name) for name in given]
+        return np.array(ports + [-1] * (count - len(ports)), np.int32)
+
+    def _stacked(self, actions: Mapping[str, np.ndarray]) -> np.ndarray:
+        for agent in actions:
+            if agent not in self.possible_agents:
+                raise ValueError(unknown("agent", agent, self.possible_agents))
+        stacked = np.zeros((len(self.possible_agents), 6), self.config.precision)
+        for index, agent in enumerate(self.possible_agents):
+            if agent not in self.agents:
+                continue
+            if agent not in actions:
+                raise ValueError(f"no action for {agent}; acting are {', '.join(self.agents)}")
+            action = np.asarray(actions[agent], self.config.precision)
+            if action.shape != (6,):
+                raise ValueError(f"the action of {agent} must have shape (6,), got {action.shape}")
+            if not np.isfinite(action).all():
+                raise ValueError(f"the action of {agent} must be finite, got {action}")
+            stacked[index] = action
+        return stacked
+
+    def _by_agent(self, rows: np.ndarray, agents: list[str]) -> dict[str, np.ndarray]:
+        return {agent: rows[self.possible_agents.index(agent)].copy() for agent in agents}
+
+    def _infos(self, agents: list[str]) -> dict[str, dict[str, Any]]:
+        named = _named(self._info)
+        rows = {}
+        for agent in agents:
+            slot = self.possible_agents.index(agent)
+            rows[agent] = {name: v[slot] if v.ndim > 1 else v[slot].item() for name, v in named.items()}
+        return rows
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in self.__dict__.items() if name != "_program"}
+        if self._state is not None:
+            kept["_state"] = jax.device_get(self._state._replace(chasers=state_to_host(self._state.chasers)))
+        return kept
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        self.__dict__.update(kept)
+        self._program = fleet_program(self.config, len(self.possible_agents), self._observe_others)
+        if self._state is not None:
+            with jax.enable_x64(True):
+                separation = jax.numpy.asarray(self._state.separation)
+            self._state = FleetState(state_from_host(self._state.chasers), separation)
