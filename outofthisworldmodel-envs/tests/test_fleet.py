@@ -1,0 +1,346 @@
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from owm_envs.fleet import START_SEPARATION, FleetEnv, FleetLayout, FleetState, assign_ports
+from owm_envs.policies import make_policy
+from owm_envs.station import PORTS, port_index
+from owm_envs.task.events import Outcome
+from owm_envs.task.separation import swept_separation
+
+RADIUS = 2.25
+NAMES = ("zvezda_aft", "poisk_zenith", "unity_nadir")
+TO = np.array([port_index(name) for name in NAMES])
+PUSH = np.array([[400.0, -300, 200, 100, -50, 30], [-200, 100, 0, 0, 60, 0], [0, 0, 500, 20, 0, -20]])
+quick = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # halves the compilation
+HELD = {"fidelity": "iss", "preset": "rl"}  # 20 steps an action, contact does not terminate
+
+
+@pytest.fixture(scope="session")
+def fleet():
+    """Builds (env, params, jitted reset, jitted step) of three chasers once a session; use within `x64`."""
+    built = {}
+
+    def build(**overrides):
+        key = repr(sorted(overrides.items()))
+        if key not in built:
+            env = FleetEnv(3, **overrides)
+            built[key] = env, env.default_params(), quick(env.reset), quick(env.step)
+        return built[key]
+
+    return build
+
+
+def by_chaser(state, take):
+    """`take` on every leaf that has an axis of chasers."""
+    physics = state.physics._replace(
+        chaser=jax.tree.map(take, state.physics.chaser), actuator=take(state.physics.actuator)
+    )
+    return jax.tree.map(take, state._replace(physics=None))._replace(physics=physics)
+
+
+def place_fleet(env, params, state, views):
+    """The state with its chasers at views (3, 13)."""
+    physics = state.chasers.physics
+    placed = jax.vmap(env.docking.dynamics.init, (None, None, 0))(params, physics.epoch, jnp.asarray(views))
+    physics = physics._replace(chaser=placed.chaser)
+    return state._replace(chasers=state.chasers._replace(physics=physics, view=jnp.asarray(views)))
+
+
+def coasting(positions, velocities=0.0):
+    """Views (3, 13) of chasers that do not turn."""
+    positions = np.asarray(positions, float)
+    still = np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(positions), 1))
+    return np.concatenate([positions, np.broadcast_to(velocities, positions.shape), still], axis=1)
+
+
+CROSSING = coasting(
+    [[-6, -150, 1], [6, -150, -1], [120, -100, 0]], [[240.0, 0, 0], [-240, 0, 0], [0, 0, 0]]
+)  # 24 m a step against each other, 12 m apart: past each other within a step
+
+
+# A chaser of a fleet is a chaser
+
+
+def test_chasers_that_do_not_meet_fly_as_alone(x64, fleet, fidelity):
+    options = {"fidelity": fidelity, "noise": "cooperative", "steps_per_action": 4, "chaser": {"actuation_delay": 2}}
+    env, params, reset, step = fleet(**options)
+    reset_one, step_one = quick(env.docking.reset), quick(env.docking.step)
+    key = jax.random.key(7)
+    state, observations = reset(params, key=key, ports=TO)
+    lone, first = reset_one(params, key=key, port=TO[0])
+    np.testing.assert_allclose(observations[0, : env.layout.own.size], first, rtol=1e-6, atol=1e-6)
+    np.testing.assert_array_equal(jax.random.key_data(state.next_key), jax.random.key_data(lone.next_key))
+    alone = [by_chaser(state.chasers, lambda leaf, i=i: leaf[i]) for i in range(3)]
+    np.testing.assert_allclose(alone[0].view, lone.view, rtol=0, atol=1e-9)
+    for _ in range(3):
+        state, result = step(params, state, PUSH)
+        for i in range(3):
+            alone[i], single = step_one(params, alone[i], PUSH[i])
+            np.testing.assert_allclose(state.chasers.view[i], alone[i].view, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(result.reward[i], single.reward, rtol=0, atol=1e-9)
+            own = result.observation[i, : env.layout.own.size]
+            np.testing.assert_allclose(own, single.observation, rtol=1e-6, atol=1e-6)
+    assert len({tuple(view) for view in np.asarray(state.chasers.view).tolist()}) == 3
+    info = env.info(params, state)
+    assert np.ptp(info["epoch"], axis=0).max() == 0
+
+
+def test_relabelling_the_chasers_relabels_the_flight(x64, fleet):
+    env, params, reset, step = fleet(fidelity="iss")
+    state = place_fleet(env, params, reset(params, key=jax.random.key(0), ports=TO)[0], CROSSING)
+    order = np.array([2, 0, 1])
+    turned = FleetState(by_chaser(state.chasers, lambda leaf: leaf[order]), state.separation[order])
+    after, result = step(params, state, PUSH)
+    other, again = step(params, turned, PUSH[order])
+    for name in ("reward", "terminated", "truncated"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(result, name)[order])
+    np.testing.assert_allclose(other.separation, after.separation[order], atol=1e-12)
+    np.testing.assert_array_equal(other.chasers.outcome, after.chasers.outcome[order])
+    np.testing.assert_allclose(other.chasers.view, after.chasers.view[order], atol=1e-12)
+    # From 2 one sees 0, 1; relabelled it is 0 and sees what are now 1, 2.
+    np.testing.assert_allclose(again.observation[0], result.observation[2], atol=1e-6)
+
+
+# Contact
+
+separation = jax.jit(swept_separation)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    ends=st.lists(st.floats(-20, 20), min_size=12, max_size=12),
+    still=st.tuples(st.booleans(), st.booleans()),
+)
+def test_separation_against_sub_steps(ends, still):
+    """The oracle samples both tracks at the same times; it is too large by at most half a sample's travel."""
+    start, end, other_start, other_end = np.reshape(ends, (4, 3))
+    end = start if still[0] else end
+    other_end = other_start if still[1] else other_end
+    times = np.linspace(0, 1, 4001)[:, None]
+    track = other_start + times * (other_end - other_start) - start - times * (end - start)
+    sampled = np.linalg.norm(track, axis=1).min()
+    travel = np.linalg.norm(other_end - other_start - end + start)
+    with jax.enable_x64(True):
+        exact = float(separation(start, end, other_start, other_end))
+    assert sampled - travel / 8000 - 1e-9 <= exact <= sampled + 1e-9
+
+
+def test_two_that_pass_through_each_other_within_a_step_have_both_collided(x64, fleet):
+    env, params, reset, step = fleet(fidelity="iss")
+    state = place_fleet(env, params, reset(params, key=jax.random.key(0), ports=TO)[0], CROSSING)
+    after, result = step(params, state, np.zeros((3, 6)))
+    gap = np.linalg.norm(after.chasers.view[0, :3] - after.chasers.view[1, :3])
+    assert gap > 2 * RADIUS < np.linalg.norm(CROSSING[0, :3] - CROSSING[1, :3])
+    assert after.chasers.outcome.tolist() == [Outcome.COLLIDED, Outcome.COLLIDED, Outcome.RUNNING]
+    assert after.chasers.collided.tolist() == [True, True, False]
+    assert result.terminated.tolist() == [True, True, False]
+    assert result.reward[0] < -1e5 and result.reward[1] < -1e5 and result.reward[2] > -10
+    np.testing.assert_allclose(after.separation[:2], 2 - 2 * RADIUS, atol=1e-9)  # the tracks are 2 m apart
+    clear = CROSSING - np.array([[0], [2.6], [0]]) * np.eye(13)[2]
+    after, result = step(params, place_fleet(env, params, state, clear), np.zeros((3, 6)))
+    assert not after.chasers.collided.any() and not result.terminated.any()
+    np.testing.assert_allclose(after.separation[:2], 4.6 - 2 * RADIUS, atol=1e-9)
+
+
+def test_contact_within_a_held_action_is_charged_once(x64, fleet):
+    env, params, reset, step = fleet(**HELD)
+    start, _ = reset(params, key=jax.random.key(0), ports=TO)
+    views = coasting([[-20, -150, 0], [20, -150, 0], [120, -100, 0]], [[40.0, 0, 0], [-40, 0, 0], [0, 0, 0]])
+    state = place_fleet(env, params, start, views)
+    after, result = step(params, state, np.zeros((3, 6)))
+    assert np.linalg.norm(after.chasers.view[0, :3] - after.chasers.view[1, :3]) > 30
+    assert after.chasers.collided.tolist() == [True, True, False]
+    assert after.chasers.outcome.tolist() == [Outcome.RUNNING] * 3
+    free = {**params.reward, "collision": jnp.zeros(())}
+    uncharged = step(params._replace(reward=free), state, np.zeros((3, 6)))[1].reward
+    np.testing.assert_allclose(result.reward - uncharged, [-2, -2, 0], atol=1e-12)
+
+
+def test_a_parked_vehicle_is_an_obstacle_and_keeps_its_outcome(x64, fleet):
+    env, params, reset, step = fleet(fidelity="iss")
+    state, _ = reset(params, key=jax.random.key(0), ports=TO)
+    goal = np.asarray(params.goals[TO[0]])
+    views = coasting([goal[:3], goal[:3] + [0, 8.0, 0], [120, -100, 0]], [[0, 0.4, 0], [0, -20, 0], [0, 0, 0]])
+    views[0, 6:10] = goal[3:]
+    parked, result = step(params, place_fleet(env, params, state, views), np.zeros((3, 6)))
+    assert parked.chasers.outcome.tolist() == [Outcome.DOCKED, Outcome.RUNNING, Outcome.RUNNING]
+    # It is seen at rest where it was captured, whatever its speed then.
+    np.testing.assert_allclose(result.observation[1, -12:-9], [0, -7 + 0.02, 0], atol=1e-5)
+    np.testing.assert_allclose(result.observation[1, -9:-6], [0, 20, 0], atol=1e-5)
+    state = parked
+    for _ in range(4):
+        state, result = step(params, state, np.full((3, 6), 500.0))
+    assert state.chasers.outcome.tolist() == [Outcome.DOCKED, Outcome.COLLIDED, Outcome.RUNNING]
+    assert state.chasers.collided.tolist() == [True, True, False]
+    assert float(result.reward[0]) == 0 and result.terminated.tolist() == [True, True, False]
+    np.testing.assert_array_equal(state.chasers.view[0], parked.chasers.view[0])
+    assert float(state.chasers.physics.elapsed) == pytest.approx(0.25)
+
+
+def test_docking_within_a_held_action_stops_one_and_not_the_others(x64, fleet):
+    env, params, reset, step = fleet(**HELD)
+    state, _ = reset(params, key=jax.random.key(0), ports=TO)
+    goal = np.asarray(params.goals[TO[0]])
+    views = coasting([goal[:3] + [0, 0.12, 0], [0, 100, 100], [120, -100, 0]], [[0, -0.4, 0], [0, 1, 0], [0, 0, 0]])
+    views[0, 6:10] = goal[3:]
+    state, _ = step(params, place_fleet(env, params, state, views), np.zeros((3, 6)))
+    assert state.chasers.outcome.tolist() == [Outcome.DOCKED, Outcome.RUNNING, Outcome.RUNNING]
+    np.testing.assert_allclose(state.chasers.view[:2, 1], [goal[1] + 0.12 - 0.02 * 2, 101], atol=0.021)
+    assert float(state.chasers.view[1, 1]) == pytest.approx(101, abs=1e-9)
+    assert float(state.chasers.closest.time[0]) <= 0.1
+
+
+# Starts
+
+
+def test_starts_are_apart_and_ports_distinct(x64, fleet):
+    env, params, *_ = fleet(fidelity="iss")
+    keys = jax.random.split(jax.random.key(3), 500)
+
+    def draw(reset, key):
+        state, _ = env.reset(params._replace(reset=reset), key=key, ports=jnp.asarray([-1, TO[0], -1]))
+        position = state.chasers.view[:, :3]
+        apart = jnp.linalg.norm(position[:, None] - position, axis=-1) + 1e3 * jnp.eye(3)
+        return apart.min(), state.separation, state.chasers.port, state.chasers.collided
+
+    many = quick(jax.vmap(draw, (None, 0)))
+    tight = params.reset._replace(radius_min=jnp.asarray(70.0), radius_max=jnp.asarray(75.0))
+    apart, separation, ports, _ = many(tight, keys)
+    assert START_SEPARATION <= float(apart.min()) < 1.5 * START_SEPARATION  # a lone draw is too near in 1 of 12
+    np.testing.assert_allclose(separation.min(axis=1), apart - 2 * RADIUS, atol=1e-9)
+    assert all(len(set(row)) == 3 and row[1] == TO[0] for row in ports.tolist())
+    drawn, counts = np.unique(np.asarray(ports)[:, [0, 2]], return_counts=True)
+    assert set(drawn) == set(range(8)) - {TO[0]} and counts.min() > 100  # 143 expected of each
+    # Nowhere to be apart: the best of the sets, told as contact and without a NaN.
+    crowded = params.reset._replace(radius_min=jnp.asarray(0.5), radius_max=jnp.asarray(1.0))
+    apart, separation, _, collided = many(crowded, keys)
+    assert np.isfinite(separation).all() and collided.all()
+    assert np.median(apart) > 1.2  # three on a circle of 1 m are 1.7 m apart at best
+
+
+def test_ports_are_assigned_without_replacement():
+    for seed in range(20):
+        given = assign_ports(jnp.asarray([1, 3, 5]), jnp.asarray([-1, 3, -1]), key=jax.random.key(seed))
+        assert given[1] == 3 and set(given.tolist()) == {1, 3, 5}
+
+
+# What a chaser sees of the others
+
+
+def test_the_others_are_measured_with_the_noise_of_the_preset(x64, fleet):
+    env, params, *_ = fleet(fidelity="iss")
+    noise = params.noise._replace(position=jnp.asarray(0.05), velocity=jnp.asarray(0.002))
+
+    def errors(key):
+        state, observations = env.reset(params._replace(noise=noise), key=key)
+        view = state.chasers.view[:, :6]
+        truth = jnp.stack([view[jnp.asarray(o)] - view[i] for i, o in enumerate(([1, 2], [0, 2], [0, 1]))])
+        return env.layout.others(observations) - truth
+
+    error = np.asarray(quick(jax.vmap(errors))(jax.random.split(jax.random.key(0), 1000)))
+    rms = lambda x: np.sqrt((x**2).sum(-1).mean(0))
+    np.testing.assert_allclose(rms(error[..., :3]), 0.05, rtol=0.08)
+    np.testing.assert_allclose(rms(error[..., 3:]), 0.002, rtol=0.08)
+    flat = error[..., :3].reshape(1000, -1)
+    assert np.abs(np.corrcoef(flat.T) - np.eye(18)).max() < 0.15  # nobody shares a draw
+
+
+def test_the_layout_names_every_number():
+    env = FleetEnv(3, normalize=True)
+    layout = env.layout
+    assert layout.size == len(layout.names) == 27 + 12 == len(set(layout.names))
+    observation = np.zeros((2, layout.size), np.float32)
+    observation[:, layout.names.index("other_1_velocity_z")] = 0.5
+    np.testing.assert_allclose(layout.others(observation)[:, 1, 5], 2.5)
+    assert FleetEnv(3, observe_others=False).layout == FleetLayout(
+        layout.own.__class__(True, True, False, layout.own.reference_day, layout.own.wrench_limit), 0
+    )
+
+
+# Uses
+
+
+def test_a_batch_of_episodes_equals_each(x64, fleet):
+    env, params, _, step = fleet(fidelity="iss")
+    keys = jax.random.split(jax.random.key(1), 4)
+    states, _ = jax.vmap(lambda key: env.reset(params, key=key))(keys)
+    crossing = [place_fleet(env, params, jax.tree.map(lambda leaf, i=i: leaf[i], states), CROSSING) for i in (0, 1)]
+    each = crossing + [jax.tree.map(lambda leaf, i=i: leaf[i], states) for i in (2, 3)]
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    actions = np.stack([PUSH, -PUSH, 2 * PUSH, 0 * PUSH])
+    after, result = quick(jax.vmap(env.step, (None, 0, 0)))(params, batch, actions)
+    assert after.chasers.view.shape == (4, 3, 13)
+    for i in range(4):
+        one, single = step(params, each[i], actions[i])
+        np.testing.assert_allclose(after.chasers.view[i], one.chasers.view, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(result.reward[i], single.reward, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(after.chasers.outcome[i], one.chasers.outcome)
+        np.testing.assert_allclose(result.observation[i], single.observation, rtol=1e-6, atol=1e-6)
+
+
+def test_gradients_are_finite_and_right(x64, fleet):
+    env, params, reset, _ = fleet(fidelity="iss")
+    state, _ = reset(params, key=jax.random.key(0), ports=TO)
+    on_top = place_fleet(env, params, state, np.concatenate([CROSSING[:1], CROSSING[:1], CROSSING[2:]]))
+
+    def earned(actions, state):
+        after, result = env.step(params, state, actions)
+        return jnp.sum(result.reward) + jnp.sum(after.separation) + jnp.sum(result.observation)
+
+    slope = quick(jax.grad(earned))
+    for start in (state, on_top):
+        assert np.isfinite(slope(jnp.asarray(PUSH), start)).all()
+    nudge = 50.0 * np.eye(6)[0] * np.array([[1.0], [0], [0]])
+    value = quick(earned)
+    difference = float(value(PUSH + nudge, state) - value(PUSH - nudge, state))
+    np.testing.assert_allclose(slope(jnp.asarray(PUSH), state)[0, 0] * 100, difference, rtol=0.02, atol=1e-5)
+
+
+def test_three_chasers_dock_side_by_side(x64):
+    """From 15 m up their corridors, by the proportional pilot: all captured, nobody touched anything."""
+    env = FleetEnv(3, fidelity="iss-hcw", preset="rl", noise="cooperative", collision_terminates=True)
+    params = env.default_params()
+    policy = make_policy("dock", env.docking)
+    goals = np.asarray(params.goals)[TO]
+    views = coasting(goals[:, :3] + 15.0 * np.array([PORTS[port].normal for port in TO]))
+    views[:, 6:10] = goals[:, 3:]
+
+    @quick
+    def fly(key):
+        state, _ = env.reset(params, key=key, ports=TO)
+        state = place_fleet(env, params, state, views)
+        seen = env.step(params, state, jnp.zeros((3, 6)))
+
+        def decide(carry, _):
+            state, observations = carry
+            act = lambda port, observation: policy.act(policy.init(key, port), observation)[0]
+            state, result = env.step(params, state, jax.vmap(act)(TO, observations))
+            return (state, result.observation), None
+
+        (state, _), _ = jax.lax.scan(decide, (seen[0], seen[1].observation), length=359)
+        return env.info(params, state)
+
+    info = fly(jax.random.key(0))
+    assert info["outcome"].tolist() == [Outcome.DOCKED] * 3
+    assert not info["collided"].any() and float(info["separation"].min()) > 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"num_chasers": 9}, "from 1 to 8, the configured ports, got 9"),
+        ({"num_chasers": 0}, "got 0"),
+        ({"num_chasers": 2, "ports": ["zvezda_aft"]}, "from 1 to 1"),
+        ({"ports": ["zvezda_aft"] * 3}, "distinct"),
+        ({"nose": "none"}, "did you mean 'noise'"),
+    ],
+)
+def test_bad_input_is_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        FleetEnv(**arguments)
