@@ -21,10 +21,10 @@ from owm_envs.fleet import FleetEnv
 STEPS = 50
 
 
-def measure(fidelity: str, per_station: int, chasers: int, seconds: float) -> dict[str, float | int | str]:
+def measure(fidelity: str, per_station: int, seen: bool, chasers: int, seconds: float) -> dict[str, float | int | str]:
     """Throughput of `chasers` chasers, `per_station` to an episode; 1 is `DockingEnv`."""
-    build = DockingEnv if per_station == 1 else lambda **kwargs: FleetEnv(per_station, **kwargs)
-    env = build(fidelity=fidelity, noise="cooperative")
+    task = {"fidelity": fidelity, "noise": "cooperative"}
+    env = DockingEnv(**task) if per_station == 1 else FleetEnv(per_station, observe_others=seen, **task)
     episodes = chasers // per_station
     params = env.default_params()
     states, _ = jax.jit(jax.vmap(lambda key: env.reset(params, key=key)))(jax.random.split(jax.random.key(0), episodes))
@@ -49,6 +49,7 @@ def measure(fidelity: str, per_station: int, chasers: int, seconds: float) -> di
     return {
         "fidelity": fidelity,
         "chasers_per_station": per_station,
+        "others_seen": seen,
         "chasers": episodes * per_station,
         "first_s": first,
         "chaser_steps_per_s": rate,
@@ -67,16 +68,16 @@ def main() -> None:
     rows = []
     with jax.enable_x64(True):
         for fidelity in options.fidelities:
-            alone, *fleets = [
-                measure(fidelity, count, options.chasers, options.seconds) for count in [1, *options.per_station]
-            ]
+            kinds = [(1, False)] + [(count, seen) for count in options.per_station for seen in (False, True)]
+            alone, *fleets = [measure(fidelity, *kind, options.chasers, options.seconds) for kind in kinds]
             for row in [alone, *fleets]:
                 rows.append({**row, "ratio": row["chaser_steps_per_s"] / alone["chaser_steps_per_s"]})
-    table = Table("fidelity", "chasers per station", "chasers", "chaser-steps/s", "of alone", "first call s")
+    table = Table("fidelity", "per station", "others seen", "chasers", "chaser-steps/s", "of alone", "first call s")
     for row in rows:
         table.add_row(
             row["fidelity"],
             f"{row['chasers_per_station']}",
+            "yes" if row["others_seen"] else "no",
             f"{row['chasers']}",
             f"{row['chaser_steps_per_s']:,.0f}",
             f"{row['ratio']:.2f}",

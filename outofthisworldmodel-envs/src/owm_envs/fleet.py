@@ -14,10 +14,9 @@ from owm_envs.config import DockingConfig
 from owm_envs.dynamics import PhysicalState
 from owm_envs.env import DockingEnv, EnvState, StepResult
 from owm_envs.params import Params
-from owm_envs.task.events import Outcome
+from owm_envs.task.events import Outcome, safe_norm
 from owm_envs.task.observation import VIEW_SCALE, ObservationLayout
 from owm_envs.task.reset import Start, named_key, sample_start
-from owm_envs.task.sensors import measure
 from owm_envs.task.separation import swept_separation
 
 START_CANDIDATES = 16
@@ -208,13 +207,20 @@ class FleetEnv:
         seen = jnp.concatenate([chasers.view[:, :3], moving], axis=1)
         others = np.array([[j for j in range(self.num_chasers) if j != i] for i in range(self.num_chasers)])
 
-        def measured(relative, key):
-            still = jnp.asarray([1, 0, 0, 0, 0, 0, 0], relative.dtype)
-            return measure(params.noise, jnp.concatenate([relative, still]), key=key)[:6]
-
         def look(episode_key, count, relative):
+            # As `measure` does for one view, but one draw for all: drawing is what costs.
             key = jax.random.fold_in(named_key(episode_key, "noise of the others"), count)
-            return jax.vmap(measured)(relative, jax.random.split(key, self.num_chasers - 1))
+            noise, distance = params.noise, safe_norm(relative[:, :3])
+            total = jnp.stack(
+                [
+                    noise.position + noise.position_per_range * distance,
+                    jnp.broadcast_to(noise.velocity, distance.shape),
+                ],
+                axis=1,
+            )
+            errors = jax.random.normal(key, (len(relative), 2, 3), jnp.float32).astype(relative.dtype)
+            per_axis = total / jnp.sqrt(jnp.asarray(3, relative.dtype))
+            return relative + (per_axis[..., None] * errors).reshape(relative.shape)
 
         relative = seen[others] - seen[:, None]
         view = jax.vmap(look)(chasers.episode_key, chasers.count, relative)
