@@ -56,27 +56,27 @@ def plot(infos: dict, tracks: dict, file: Path) -> None:
     import matplotlib.pyplot as plt
     from matplotlib.collections import PolyCollection
 
-    # Shapes of the station: columns are the axes drawn, and the sign that puts forward (-y) to the right.
-    views = {
-        "from zenith": (1, 0, "forward m", "port m"),
-        "from starboard": (1, 2, "forward m", "zenith m"),
-    }
-    figure, panels = plt.subplots(1, 2, figsize=(13, 6), layout="constrained")
-    for panel, (title, (across, up, xlabel, ylabel)) in zip(panels, views.items()):
-        low, high = hull_boxes()[:, 0], hull_boxes()[:, 1]
+    # Columns drawn across and up; forward is -y, to the right in both.
+    views = {"from zenith": (1, 0, "port m"), "from starboard": (1, 2, "zenith m")}
+    low, high = hull_boxes()[:, 0], hull_boxes()[:, 1]
+    everything = np.concatenate([low, high, *tracks.values()])
+    heights = np.ptp(everything, axis=0)[[up for _, up, _ in views.values()]]
+    figure, panels = plt.subplots(2, 1, figsize=(9, 11), sharex=True, height_ratios=heights + 20, layout="constrained")
+    for panel, (title, (across, up, label)) in zip(panels, views.items()):
         corners = [(low, low), (high, low), (high, high), (low, high)]
         outlines = np.stack([np.stack([-a[:, across], b[:, up]], axis=1) for a, b in corners], axis=1)
         panel.add_collection(PolyCollection(outlines, facecolor="0.82", edgecolor="0.62", linewidth=0.4))
         for number, (agent, track) in enumerate(tracks.items()):
             x, y = -track[:, across], track[:, up]
-            label = f"{agent}: {infos[agent]['port']}, {infos[agent]['outcome']}"
-            panel.plot(x, y, color=f"C{number}", linewidth=1.6, label=label)
+            name = f"{agent}: {infos[agent]['port']}, {infos[agent]['outcome']}"
+            panel.plot(x, y, color=f"C{number}", linewidth=1.6, label=name)
             panel.plot(x[0], y[0], "o", color=f"C{number}", markersize=5, markerfacecolor="white")
             panel.add_patch(plt.Circle((x[-1], y[-1]), 2.25, color=f"C{number}", zorder=3))
-        panel.set(title=title, xlabel=xlabel, ylabel=ylabel, aspect="equal")
+        panel.set(title=title, ylabel=label, aspect="equal")
         panel.grid(color="0.93")
         panel.set_axisbelow(True)
-    panels[0].legend(loc="best")
+    panels[-1].set_xlabel("forward m")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(tracks), frameon=False)
     figure.savefig(file, dpi=130)
 
 
