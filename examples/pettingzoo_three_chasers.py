@@ -60,8 +60,10 @@ def plot(infos: dict, tracks: dict, file: Path) -> None:
     views = {"from zenith": (1, 0, "port m"), "from starboard": (1, 2, "zenith m")}
     low, high = hull_boxes()[:, 0], hull_boxes()[:, 1]
     everything = np.concatenate([low, high, *tracks.values()])
-    heights = np.ptp(everything, axis=0)[[up for _, up, _ in views.values()]]
-    figure, panels = plt.subplots(2, 1, figsize=(9, 11), sharex=True, height_ratios=heights + 20, layout="constrained")
+    least, most = np.min(everything, axis=0) - 10, np.max(everything, axis=0) + 10
+    heights = [most[up] - least[up] for _, up, _ in views.values()]
+    tall = 0.5 + 8 * sum(heights) / (most[1] - least[1])  # the same scale in both
+    figure, panels = plt.subplots(2, 1, figsize=(9, tall + 1), height_ratios=heights, layout="constrained")
     for panel, (title, (across, up, label)) in zip(panels, views.items()):
         corners = [(low, low), (high, low), (high, high), (low, high)]
         outlines = np.stack([np.stack([-a[:, across], b[:, up]], axis=1) for a, b in corners], axis=1)
@@ -72,7 +74,8 @@ def plot(infos: dict, tracks: dict, file: Path) -> None:
             panel.plot(x, y, color=f"C{number}", linewidth=1.6, label=name)
             panel.plot(x[0], y[0], "o", color=f"C{number}", markersize=5, markerfacecolor="white")
             panel.add_patch(plt.Circle((x[-1], y[-1]), 2.25, color=f"C{number}", zorder=3))
-        panel.set(title=title, ylabel=label, aspect="equal")
+        limits = {"xlim": (-most[across], -least[across]), "ylim": (least[up], most[up])}
+        panel.set(title=title, ylabel=label, aspect="equal", **limits)
         panel.grid(color="0.93")
         panel.set_axisbelow(True)
     panels[-1].set_xlabel("forward m")
