@@ -7,17 +7,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from astrojax.attitude import quat_from_rotation_vector, quat_rotate
 from astrojax.time import mjd_from_calendar, normalize_epoch
-from owm_envs.config import DockingConfig, load_config
+from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.dynamics import DYNAMICS, PhysicalState
 from owm_envs.params import Params, params_from_config
+from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import swept_clearance
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.randomization import Drawn, draw, episode_params
 from owm_envs.task.reset import named_key, sample_start
 from owm_envs.task.reward import reward
-from owm_envs.task.sensors import goal_error, measure
+from owm_envs.task.sensors import advance_bias, goal_error, measure, start_bias
 
 
 class EnvState(NamedTuple):
@@ -37,6 +38,11 @@ class EnvState(NamedTuple):
     clearance: Float[Array, ""]
     """Least `swept_clearance` of the bounding sphere to any keep-out box so far, m."""
     closest: Closest
+    actuators: ActuatorState
+    bias: Float[Array, "4 3"] | None
+    """Time-correlated error of the sensors, of unit variance per axis; None without."""
+    drawn: Drawn | None
+    """What was drawn for this episode; None without randomisation."""
     episode_key: Key[Array, ""]
     next_key: Key[Array, ""]
     """From which the following episode in this slot starts."""
@@ -58,6 +64,10 @@ class DockingEnv:
     `config.steps_per_action` simulation steps. Slots chain their keys: after an episode, `reset(params,
     state.next_key)` starts the next one reproducibly.
 
+    Environments of equal `structure` are equal and run the same compiled programs; what else they are configured to
+    is in their `params` alone. So pass `params` into a compiled function that takes the environment as a static
+    argument, rather than ask for `default_params()` inside it.
+
     Args:
         config: as `load_config` takes it.
         overrides: fields of `DockingConfig`.
@@ -68,6 +78,7 @@ class DockingEnv:
 
     def __init__(self, config: DockingConfig | Mapping[str, Any] | str | None = None, **overrides: Any):
         self.config = load_config(config, **overrides)
+        self.structure: Structure = self.config.structure
         self.dynamics = DYNAMICS[self.config.fidelity](self.config)
         chaser = self.config.chaser
         self.layout = ObservationLayout(
@@ -77,6 +88,12 @@ class DockingEnv:
             reference_day=float(mjd_from_calendar(self.config.chief.reference_epoch)[0]),
             wrench_limit=(chaser.force_limit,) * 3 + (chaser.torque_limit,) * 3,
         )
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and other.structure == self.structure
+
+    def __hash__(self) -> int:
+        return hash(self.structure)
 
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
@@ -92,10 +109,14 @@ class DockingEnv:
             port: index of the port to dock at; negative draws one of the configured ports.
         """
         next_key, episode_key = jax.random.split(key)
+        drawn = bias = None
+        if self.structure.randomized:
+            drawn = draw(params.randomization, key=named_key(episode_key, "randomization"))
+            params = episode_params(params, drawn)
         start = sample_start(params, key=named_key(episode_key, "start"), port=jnp.asarray(port, jnp.int32))
         physics = self.dynamics.init(params, start.epoch, start.view)
-        delay = self.config.chaser.actuation_delay
-        physics = physics._replace(actuator=jnp.zeros((delay, 6), start.view.dtype))
+        if self.structure.biased:
+            bias = start_bias(start.view.dtype, key=self._bias_key(episode_key, 0))
         clearance = self._clearance(params, start.view[:3], start.view[:3])
         closest = self._approach(params, start.port, start.view, physics.elapsed)
         state = EnvState(
@@ -108,6 +129,9 @@ class DockingEnv:
             collided=clearance <= 0,
             clearance=clearance,
             closest=closest,
+            actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
+            bias=bias,
+            drawn=drawn,
             episode_key=episode_key,
             next_key=next_key,
         )
@@ -119,6 +143,7 @@ class DockingEnv:
         An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`.
         """
         dtype = state.view.dtype
+        params = episode_params(params, state.drawn)
         was_running = state.outcome == Outcome.RUNNING
         valid = jnp.all(jnp.isfinite(action))
         wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(dtype), params.chaser.wrench_limit)
@@ -133,15 +158,20 @@ class DockingEnv:
             return (kept, touched | (touches & running)), None
 
         carry = (started, jnp.zeros((), bool))
-        if self.config.steps_per_action == 1:
+        if self.structure.steps_per_action == 1:
             carry, _ = substep(carry, None)
         else:
-            carry, _ = jax.lax.scan(substep, carry, length=self.config.steps_per_action)
+            carry, _ = jax.lax.scan(substep, carry, length=self.structure.steps_per_action)
         ended, touched = carry
 
         count = state.count + was_running
         late = (ended.outcome == Outcome.RUNNING) & (count >= params.horizon_steps)
         ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
+        if state.bias is not None:
+            key = self._bias_key(state.episode_key, count)
+            lapse = params.dt * self.structure.steps_per_action
+            bias = advance_bias(state.bias, params.noise.bias.correlation_time, lapse, key=key)
+            ended = ended._replace(bias=jnp.where(was_running, bias, state.bias))
         goal = params.goals[ended.port]
         earned = reward(
             params,
@@ -163,7 +193,7 @@ class DockingEnv:
 
         Returns:
             true_state and measured_state (13,), goal_pose (7,), true_goal_error (12,), epoch [MJD day, s of day],
-            port, outcome, collided, clearance, and the errors at closest approach, SI units.
+            port, outcome, collided, clearance, the errors at closest approach, SI units, and what was drawn.
         """
         goal = params.goals[state.port]
         return {
@@ -177,13 +207,13 @@ class DockingEnv:
             "collided": state.collided,
             "clearance": state.clearance,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
+            **({} if state.drawn is None else {f"drawn_{k}": v for k, v in state.drawn._asdict().items()}),
         }
 
     def _advance(self, params, state, wrench):
         """One simulation step and its events, whatever the outcome so far; also whether the hull was touched."""
-        queue = jnp.concatenate([state.physics.actuator, wrench[None]])
-        delivered = self._deliver(params, queue[0])
-        physics = self.dynamics.step(params, state.physics._replace(actuator=queue[1:]), delivered, params.dt)
+        actuators, delivered = deliver(params.chaser, state.actuators, wrench, params.dt)
+        physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
         sign = jnp.where(jnp.sum(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
@@ -197,12 +227,13 @@ class DockingEnv:
 
         docked = is_docked(jnp.stack(approach[:4]), params.docking)
         escaped = jnp.sum(view[:3] ** 2) > params.escape_radius**2
-        crashed = touches & self.config.collision_terminates
+        crashed = touches & self.structure.collision_terminates
         outcome = jnp.select(
             [crashed, docked, escaped], [Outcome.COLLIDED, Outcome.DOCKED, Outcome.ESCAPED], Outcome.RUNNING
         ).astype(jnp.int32)
         state = state._replace(
             physics=physics,
+            actuators=actuators,
             view=view,
             outcome=outcome,
             collided=state.collided | touches,
@@ -211,11 +242,8 @@ class DockingEnv:
         )
         return state, touches
 
-    def _deliver(self, params, wrench):
-        """What the thrusters make of a command."""
-        turn = quat_from_rotation_vector(params.chaser.misalignment)
-        scaled = wrench * params.chaser.thrust_scale
-        return jnp.concatenate([quat_rotate(turn, scaled[:3]), quat_rotate(turn, scaled[3:])])
+    def _bias_key(self, episode_key, count):
+        return jax.random.fold_in(named_key(episode_key, "sensor bias"), count)
 
     def _clearance(self, params, start, end):
         boxes = jnp.concatenate([params.hull, params.obstacles])
@@ -230,6 +258,6 @@ class DockingEnv:
 
     def _observe(self, params, state):
         key = jax.random.fold_in(named_key(state.episode_key, "noise"), state.count)
-        measured = measure(params.noise, state.view, key=key)
+        measured = measure(params.noise, state.view, state.bias, key=key)
         error = goal_error(measured, params.goals[state.port])
         return state._replace(measured=measured), self.layout.observe(self._epoch(state), measured, error)
