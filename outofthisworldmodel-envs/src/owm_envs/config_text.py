@@ -76,6 +76,21 @@ def _literal(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value)
 
 
+def changes(config: DockingConfig, base: DockingConfig) -> list[str]:
+    """Each value of a configuration that differs from the base's, with its unit and bounds."""
+
+    def value(of: DockingConfig, path: tuple[str, ...]) -> Any:
+        return functools.reduce(getattr, path, of)
+
+    lines = []
+    for path in fields():
+        mine, theirs = value(config, path), value(base, path)
+        if mine != theirs:
+            remark = f" ({note(path)})" if note(path) else ""
+            lines.append(f"{'.'.join(path)} = {mine!r}, not {theirs!r}{remark}")
+    return lines
+
+
 def mistakes(error: ValidationError) -> str:
     """What is wrong with a configuration: each field with what is allowed and what came."""
     lines = []
