@@ -137,7 +137,7 @@ def _changed(path, value):
     if path == ("chief", "reference_epoch"):
         return "2027-01-01T00:00:00Z"
     if isinstance(value, tuple):
-        return (value[0], *[x + 1 for x in value[1:]])
+        return (value[0], *[x + 1 if isinstance(x, int) else x + 0.5 for x in value[1:]])
     if path == ("chief", "eccentricity"):
         return 0.1
     return value + 1 if isinstance(value, int) else value * 1.01 + 0.01

@@ -39,8 +39,9 @@ def note(path: tuple[str, ...]) -> str:
     """Unit and bounds of a field, as "kg, > 0"; empty where there are none."""
     field = fields().get(path, {})
     unit, value = field.get("unit"), field
-    while deeper := [*value.get("prefixItems", []), *([value["items"]] if "items" in value else [])]:
-        value = deeper[0]
+    # Into tuples and lists, whose items are alike, and to the last of alternatives.
+    while inner := (*value.get("anyOf", [])[-1:], *value.get("prefixItems", []), *filter(None, [value.get("items")])):
+        value = inner[0]
         unit = unit or value.get("unit")
     words = [{"1": "dimensionless"}.get(unit, unit)] if unit else []
     bounds = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
