@@ -23,6 +23,7 @@ RANGES = {
     "chief_argument_of_perigee_deg": (0.0, 90.0),
     "chief_mean_anomaly_deg": (-180.0, 180.0),
 }
+FLOWN = {name: bounds for name, bounds in RANGES.items() if name != "actuation_delay"}
 CHASER = {"actuation_delay": 1, "misalignment": (0.0, 0.0, 0.01), "thrust_scale": (0.9,) + (1.0,) * 5}
 CONFIG = {"randomization": RANGES, "chaser": CHASER}
 BOX = ((0.0, 80.0, 0.0), (1.0, 81.0, 1.0))
@@ -91,54 +92,53 @@ def test_the_episode_s_numbers_are_the_configured_ones_scaled_and_shifted(x64):
 
 
 def test_an_episode_flies_as_one_configured_to_what_was_drawn(x64, docking, fidelity):
-    """Against an environment without randomisation whose configuration holds the drawn numbers."""
-    _, params, reset, step = docking(fidelity=fidelity, **CONFIG)
-    state, _ = reset(params, key=jax.random.key(5))
-    info = jax.device_get(state.drawn)
+    """Against the environment without randomisation, configured to the drawn numbers."""
+    _, params, reset, step = docking(fidelity=fidelity, randomization=FLOWN)
+    first, _ = reset(params, key=jax.random.key(5))
+    drawn = jax.device_get(first.drawn)
     names = ("semi_major_axis", "eccentricity", "inclination_deg", "raan_deg", "argument_of_perigee_deg")
-    values = info.chief_elements * np.array([1, 1, *[180 / np.pi] * 4]) + np.array([6_795_000, 0.0005, 51.64, 0, 0, 0])
-    mine = jax.device_get(episode_params(params, state.drawn).chaser)
+    offsets = drawn.chief_elements * np.array([1, 1, *[180 / np.pi] * 4])
+    values = offsets + np.array([6_795_000, 0.0005, 51.64, 0, 0, 0])
     config = load_config(
         fidelity=fidelity,
         chief=dict(zip((*names, "mean_anomaly_deg"), values.tolist())),
         chaser={
-            "mass": float(mine.mass),
-            "inertia": np.diag(mine.inertia).tolist(),
-            "thrust_scale": mine.thrust_scale.tolist(),
-            "misalignment": mine.misalignment.tolist(),
-            "actuation_delay": int(mine.actuation_delay),
+            "mass": 12_000 * float(drawn.mass_scale),
+            "inertia": (np.array([80_000, 80_000, 50_000]) * drawn.inertia_scale).tolist(),
+            "thrust_scale": drawn.thrust_scale.tolist(),
+            "misalignment": drawn.misalignment.tolist(),
         },
     )
-    env = DockingEnv(config)
-    fixed = env.default_params()
-    expected, _ = env.reset(fixed, key=jax.random.key(5))
-    advance = jax.jit(env.step)
+    _, _, reset_plain, step_plain = docking(fidelity=fidelity)
+    fixed = params_from_config(config)
+    state, expected = first, reset_plain(fixed, key=jax.random.key(5))[0]
     for _ in range(12):
         state, _ = step(params, state, PUSH)
-        expected, _ = advance(fixed, expected, PUSH)
+        expected, _ = step_plain(fixed, expected, PUSH)
     np.testing.assert_allclose(state.view[:6], expected.view[:6], rtol=0, atol=1e-7)
     np.testing.assert_allclose(state.view[10:], expected.view[10:], rtol=0, atol=1e-10)
     assert float(quat_angle(state.view[6:10], expected.view[6:10])) < 1e-9
-    assert float(jnp.linalg.norm(state.view[3:6] - reset(params, key=jax.random.key(5))[0].view[3:6])) > 0.01
+    assert float(jnp.linalg.norm(state.view[3:6] - first.view[3:6])) > 0.01
 
 
 def test_randomisation_moves_no_other_draw(x64, docking):
-    _, params, reset, step = docking(fidelity="iss", noise="cooperative")
-    _, wide, reset_wide, step_wide = docking(fidelity="iss", noise="cooperative", **CONFIG)
-    key = jax.random.key(11)
-    state, observation = reset(params, key=key)
-    state_wide, observation_wide = reset_wide(wide, key=key)
-    np.testing.assert_array_equal(observation, observation_wide)
-    error, error_wide = (
-        step_(p, s, jnp.zeros(6))[0] for step_, p, s in ((step, params, state), (step_wide, wide, state_wide))
-    )
-    np.testing.assert_array_equal(error.measured - error.view, error_wide.measured - error_wide.view)
-    assert int(state.port) == int(state_wide.port)
+    noise = params_from_config(load_config(noise="cooperative")).noise
+    seen = []
+    for ranges in ({}, FLOWN):
+        _, params, reset, step = docking(fidelity="iss", **({"randomization": ranges} if ranges else {}))
+        params = params._replace(noise=noise)
+        state, observation = reset(params, key=jax.random.key(11))
+        after, _ = step(params, state, jnp.zeros(6))
+        seen.append((observation, state.view, state.port, after.measured - after.view, after.next_key))
+    for plain, randomised in zip(*seen, strict=True):
+        if jnp.issubdtype(plain.dtype, jax.dtypes.prng_key):
+            plain, randomised = jax.random.key_data(plain), jax.random.key_data(randomised)
+        np.testing.assert_allclose(randomised, plain, rtol=0, atol=1e-12)
 
 
 def test_degenerate_ranges_draw_the_configured_vehicle(x64, docking):
-    env, params, reset, _ = docking(fidelity="iss", **CONFIG)
-    same = DockingEnv(fidelity="iss").default_params().randomization
+    env, params, reset, _ = docking(fidelity="iss", randomization=FLOWN)
+    same = params_from_config(load_config(fidelity="iss")).randomization
     state, _ = reset(params._replace(randomization=same), key=jax.random.key(1))
     mine = episode_params(params, state.drawn)
     np.testing.assert_array_equal(mine.chaser.mass, params.chaser.mass)
@@ -148,7 +148,7 @@ def test_degenerate_ranges_draw_the_configured_vehicle(x64, docking):
 
 
 def test_ranges_are_swept_without_a_new_program(x64):
-    env = DockingEnv(fidelity="iss", **CONFIG)
+    env = DockingEnv(fidelity="iss", randomization=FLOWN)
     params = env.default_params()
     traces = []
 
@@ -169,9 +169,9 @@ def test_ranges_are_swept_without_a_new_program(x64):
     assert len(traces) == 1
 
 
-def test_configurations_that_differ_in_numbers_are_one_program(x64):
+def test_configurations_that_differ_in_numbers_are_one_program(x64, docking):
     """Mass, noise, ports, reward, horizon, tolerances, start, orbit and ranges are numbers; switches and sizes not."""
-    base = DockingEnv(fidelity="iss", **CONFIG)
+    base, _, reset, _ = docking(fidelity="iss", randomization=FLOWN)
     other = DockingEnv(
         fidelity="iss",
         noise="noncooperative",
@@ -179,10 +179,10 @@ def test_configurations_that_differ_in_numbers_are_one_program(x64):
         ports=["zvezda_aft", "unity_nadir"],
         horizon=100.0,
         dt=0.1,
-        chaser={**CHASER, "mass": 9000.0, "radius": 3.0, "force_limit": 900.0},
+        chaser={"mass": 9000.0, "radius": 3.0, "force_limit": 900.0},
         chief={"reference_epoch": "2027-01-01T00:00:00Z"},
         docking={"position": 1.0},
-        randomization={**RANGES, "mass_scale": (1.0, 2.0), "actuation_delay": (0, 4)},
+        randomization={**FLOWN, "mass_scale": (1.0, 2.0)},
     )
     assert other == base and hash(other) == hash(base) and other.structure == base.structure
     keys, ports = jax.random.split(jax.random.key(0), 2), jnp.asarray([-1, -1])
@@ -190,12 +190,24 @@ def test_configurations_that_differ_in_numbers_are_one_program(x64):
     _, first = _start(base, base.default_params(), (), keys, ports)
     (state, *_), second = _start(other, other.default_params(), (), keys, ports)
     assert _start._cache_size() == before + 1
-    alone, _ = other.reset(other.default_params(), key=keys[1])
+    alone, _ = reset(other.default_params(), key=keys[1])
     np.testing.assert_allclose(second.true_state[1], alone.view, rtol=0, atol=1e-9)
     np.testing.assert_allclose(state.drawn.mass_scale[1], alone.drawn.mass_scale)
-    assert np.abs(first.epoch - second.epoch).min() > 100
+    assert np.abs(first.epoch - second.epoch)[:, 0].min() > 100
+    assert set(np.asarray(state.port).tolist()) <= {3, 7}
     for change in ({"goal_error": False}, {"steps_per_action": 2}, {"normalize": True}, {"obstacles": [BOX]}):
-        assert DockingEnv(fidelity="iss", **CONFIG, **change) != base
+        assert DockingEnv(fidelity="iss", randomization=FLOWN, **change) != base
+
+
+@pytest.mark.parametrize(
+    ("delay", "extra", "same"), [(3, (0, 1), True), (0, (2, 4), True), (4, (0, 0), True), (4, (0, 1), False)]
+)
+def test_only_the_longest_delay_is_a_size(delay, extra, same):
+    def structure(delay, extra):
+        ranges = {"mass_scale": (0.9, 1.1), "actuation_delay": extra}
+        return load_config(chaser={"actuation_delay": delay}, randomization=ranges).structure
+
+    assert (structure(delay, extra) == structure(0, (0, 4))) == same
 
 
 @pytest.mark.parametrize(

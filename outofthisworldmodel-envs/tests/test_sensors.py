@@ -67,7 +67,8 @@ def test_white_and_correlated_parts_add_with_their_stated_total_rms(x64):
 
 
 def test_an_environment_s_bias_drifts_beside_the_same_white_noise(x64, docking):
-    _, params, reset, step = docking(fidelity="iss", noise=NOISE)
+    _, params, reset, step = docking(fidelity="iss")
+    params = params._replace(noise=params_from_config(load_config(noise=NOISE)).noise)
     _, biased, reset_biased, step_biased = docking(fidelity="iss", noise={**NOISE, "bias": BIAS})
     key = jax.random.key(8)
     (state, first), (state_biased, first_biased) = reset(params, key=key), reset_biased(biased, key=key)
@@ -76,7 +77,7 @@ def test_an_environment_s_bias_drifts_beside_the_same_white_noise(x64, docking):
     for _ in range(4):
         state, _ = step(params, state, jnp.zeros(6))
         state_biased, _ = step_biased(biased, state_biased, jnp.zeros(6))
-        np.testing.assert_array_equal(state_biased.view, state.view)
+        np.testing.assert_allclose(state_biased.view, state.view, rtol=0, atol=1e-12)
         offsets.append(np.asarray(state_biased.measured - state.measured)[:3])
         size = np.asarray(state_biased.bias[0]) * BIAS["position"] / np.sqrt(3)
         np.testing.assert_allclose(offsets[-1], size, atol=1e-9)
@@ -84,15 +85,14 @@ def test_an_environment_s_bias_drifts_beside_the_same_white_noise(x64, docking):
     assert np.all(moved > 0) and moved.max() < 8 * BIAS["position"] * np.sqrt(2 * 0.05 / 20)
 
 
-def test_a_constant_bias_and_the_first_one_are_the_same_at_any_rate_of_decision(x64, docking):
-    forever = {**NOISE, "bias": {**BIAS, "correlation_time": np.inf}}
-    seen = []
-    for steps in (1, 4):
-        _, params, reset, step = docking(fidelity="iss", noise=forever, steps_per_action=steps)
-        state, _ = reset(params, key=jax.random.key(3))
-        seen += [state.bias, step(params, state, jnp.zeros(6))[0].bias]
-    for bias in seen[1:]:
-        np.testing.assert_array_equal(bias, seen[0])
+def test_an_infinite_correlation_time_is_a_number_like_others(x64, docking):
+    _, params, reset, step = docking(fidelity="iss", noise={**NOISE, "bias": BIAS})
+    forever = params.noise.bias._replace(correlation_time=jnp.asarray(np.inf))
+    params = params._replace(noise=params.noise._replace(bias=forever))
+    state, _ = reset(params, key=jax.random.key(3))
+    after, _ = step(params, state, jnp.zeros(6))
+    np.testing.assert_array_equal(after.bias, state.bias)
+    assert np.abs(state.bias).max() > 0
 
 
 def test_an_ended_episode_s_measurement_stays(x64, docking):
