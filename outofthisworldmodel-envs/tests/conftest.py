@@ -40,7 +40,6 @@ def place():
     def placed(env, params, state, view):
         view = np.asarray(view, np.float64)
         physics = env.dynamics.init(params, state.physics.epoch, jax.numpy.asarray(view))
-        physics = physics._replace(actuator=state.physics.actuator)
         return state._replace(physics=physics, view=jax.numpy.asarray(view))
 
     return placed

@@ -1,3 +1,4 @@
+import json
 import subprocess
 import sys
 import tomllib
@@ -43,7 +44,16 @@ def test_config_validate_accepts_a_good_file(capsys, tmp_path):
     file = tmp_path / "good.toml"
     file.write_text('noise = "cooperative"\nports = ["zvezda_aft"]\n')
     assert run("config", "validate", str(file)) == 0
-    assert "valid" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "valid" in told and "chaser" not in told
+    assert "noise.position = 0.05, not 0.0 (m, >= 0)" in told
+
+
+def test_config_show_tells_units_and_schema_is_json(capsys):
+    assert run("config", "show") == 0
+    assert "mass = 12000.0  # kg, > 0" in capsys.readouterr().out
+    assert run("config", "schema") == 0
+    assert json.loads(capsys.readouterr().out)["properties"]["dt"]["unit"] == "s"
 
 
 @pytest.mark.parametrize(
@@ -52,7 +62,7 @@ def test_config_validate_accepts_a_good_file(capsys, tmp_path):
         ("horizn = 3.0\n", "did you mean 'horizon'"),
         ("[chaser]\nmas = 3.0\n", "did you mean 'chaser.mass'"),
         ('ports = ["zvezda_aff"]\n', "did you mean 'zvezda_aft'"),
-        ("dt = -1.0\n", "dt"),
+        ("dt = -1.0\n", "dt: Input should be greater than 0, got -1.0 s"),
         ("dt = \n", "not valid TOML"),
         (None, "No such file"),
     ],

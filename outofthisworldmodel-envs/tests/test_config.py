@@ -1,9 +1,15 @@
 import subprocess
 import sys
+import tomllib
 
+import jax
+import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
 from owm_envs.config import CONFIG_PRESETS, NOISE_PRESETS, REWARD_PRESETS, DockingConfig, load_config
+from owm_envs.config_text import fields, json_schema, note
 from owm_envs.params import params_from_config
 
 
@@ -14,15 +20,147 @@ def test_presets_hold_the_paper_s_numbers():
     assert REWARD_PRESETS["data"].collision == -1e6
     rl = load_config(preset="rl")
     assert (rl.decision_dt, rl.collision_terminates, rl.reset.radius_max) == (1.0, False, 125.0)
+    # Paper, table of reward parameters, row by row.
+    table = {
+        "position": -0.9, "delta_position": 1.0, "sigma_position": 225.0,
+        "velocity": -0.05, "delta_velocity": 0.1, "sigma_velocity": 5.0,
+        "attitude": -0.2, "delta_attitude": 0.05, "sigma_attitude": np.pi,
+        "rate": -0.02, "delta_rate": 0.005, "sigma_rate": 0.05,
+        "gate_far": 0.5, "gate_distance": 25.0, "progress": -2.0,
+        "proximity": 0.5, "sigma_proximity": 1.0, "alignment": 0.5, "sigma_alignment": 0.1,
+        "effort": -0.05, "collision": -2.0, "dock": 1000.0, "escape": -1000.0,
+    }  # fmt: skip
+    assert rl.reward.model_dump() == table
 
 
 @pytest.mark.parametrize("preset", CONFIG_PRESETS)
 def test_toml_round_trip(preset, tmp_path):
     config = load_config(preset=preset, noise="cooperative", ports=["zvezda_aft"], obstacles=[((0, 0, 0), (1, 1, 1))])
     file = tmp_path / "config.toml"
-    file.write_text(config.to_toml())
-    assert load_config(file) == config
+    for notes in (False, True):
+        file.write_text(config.to_toml(notes=notes), encoding="utf-8")
+        assert load_config(file) == config
     assert load_config(config.model_dump()) == config
+
+
+def _values(schema):
+    """Values that a field's schema allows."""
+    if "enum" in schema:
+        return st.sampled_from(schema["enum"])
+    if "anyOf" in schema:
+        return st.one_of([_values(option) for option in schema["anyOf"]])
+    if "const" in schema:
+        return st.just(schema["const"])
+    if schema["type"] == "array":
+        if "prefixItems" in schema:
+            return st.tuples(*map(_values, schema["prefixItems"]))
+        return st.lists(_values(schema["items"]), min_size=schema.get("minItems", 0), max_size=4)
+    low, high = schema.get("minimum", schema.get("exclusiveMinimum")), schema.get("maximum")
+    if schema["type"] == "number":
+        open_low, top = "exclusiveMinimum" in schema, high if high is not None else schema.get("exclusiveMaximum")
+        open_high = "exclusiveMaximum" in schema
+        return st.floats(low, top, exclude_min=open_low, exclude_max=open_high, allow_nan=False, allow_infinity=False)
+    if schema["type"] == "integer":
+        return st.integers(low, high if high is not None else 2**31 - 1)
+    return {"boolean": st.booleans(), "string": st.just("2027-03-04T05:06:07Z")}[schema["type"]]
+
+
+NAMES_OF_PORTS = st.lists(st.sampled_from(DockingConfig().ports), min_size=1, max_size=10)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_toml_round_trip_of_any_field(data):
+    """Any field may take any value its schema allows, and TOML gives it back to the last bit."""
+    path = data.draw(st.sampled_from(sorted(fields())))
+    value = data.draw(NAMES_OF_PORTS if path == ("ports",) else _values(fields()[path]))
+    nested = value
+    for name in reversed(path):
+        nested = {name: nested}
+    try:
+        config = DockingConfig.model_validate(nested)
+    except ValueError as error:
+        assume("Value error" not in str(error))  # what several fields must hold between them
+        raise
+    for notes in (False, True):
+        assert DockingConfig.model_validate(tomllib.loads(config.to_toml(notes=notes))) == config
+
+
+@pytest.mark.parametrize("path", sorted(fields()), ids=".".join)
+def test_every_number_has_its_unit(path):
+    kinds = str(fields()[path])
+    if path != ("forces", "zonal_degree") and ("'number'" in kinds or "'integer'" in kinds):
+        assert "'unit'" in kinds and note(path)
+
+
+def test_notes_tell_unit_and_bounds():
+    assert note(("chaser", "mass")) == "kg, > 0"
+    assert note(("chaser", "inertia")) == "kg m2, > 0"
+    assert note(("reset", "attitude_error_deg")) == "deg, >= 0, <= 180"
+    assert note(("chief", "eccentricity")) == "dimensionless, >= 0, < 1"
+    assert note(("fidelity",)) == "one of iss, iss-hcw, iss-numerical"
+    schema = json_schema()
+    mass = schema["$defs"]["ChaserConfig"]["properties"]["mass"]
+    assert (mass["unit"], mass["exclusiveMinimum"], mass["default"]) == ("kg", 0, 12_000.0)
+    assert {"enum": ["none", "cooperative", "noncooperative"]} in schema["properties"]["noise"]["anyOf"]
+
+
+def test_every_number_reaches_the_parameters():
+    """A field that is neither structure nor read by `params_from_config` would be a knob without a wire."""
+    aside = {"fidelity", "goal_error", "normalize", "precision", "steps_per_action", "collision_terminates", "forces"}
+    with jax.enable_x64(True):
+        base, plain = DockingConfig(), jax.tree.leaves(params_from_config(DockingConfig()))
+        for path in fields():
+            if path[0] in aside or path == ("chaser", "thrusters"):
+                continue
+            section = base.model_dump() if len(path) == 1 else base.model_dump()[path[0]]
+            value = section[path[1] if len(path) > 1 else path[0]]
+            if len(path) > 2:
+                value = value[path[2]]
+            config = load_config(_with(path, _changed(path, value)))
+            leaves = jax.tree.leaves(params_from_config(config))
+            same = [a.shape == b.shape and bool(np.all(a == b)) for a, b in zip(plain, leaves, strict=True)]
+            assert not all(same), path
+
+
+def _with(path, value):
+    for name in reversed(path):
+        value = {name: value}
+    return value
+
+
+def _changed(path, value):
+    if path == ("hull",) or path == ("obstacles",):
+        return [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]
+    if path == ("ports",):
+        return ["unity_nadir"]
+    if path == ("chief", "reference_epoch"):
+        return "2027-01-01T00:00:00Z"
+    if isinstance(value, tuple):
+        return (value[0], *[x + 1 if isinstance(x, int) else x + 0.5 for x in value[1:]])
+    if path == ("chief", "eccentricity"):
+        return 0.1
+    return value + 1 if isinstance(value, int) else value * 1.01 + 0.01
+
+
+HULL = [[[-5.0, -4.0, -3.0], [5.0, 4.0, 3.0]], [[6.0, 0.0, 0.0], [7.0, 1.0, 1.0]]]
+
+
+def test_a_hull_of_one_s_own(tmp_path):
+    (tmp_path / "mine.toml").write_text(f"boxes = {HULL}\n", encoding="utf-8")
+    file = tmp_path / "config.toml"
+    file.write_text('hull = "mine.toml"\n', encoding="utf-8")
+    beside, direct = load_config(file), load_config(hull=HULL)
+    assert beside == direct == load_config(hull=str(tmp_path / "mine.toml"))
+    assert DockingConfig.model_validate(tomllib.loads(direct.to_toml())) == direct
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(params_from_config(direct).hull, HULL)
+    moved = load_config(hull=[[[0.0] * 3, [1.0] * 3], HULL[1]])
+    assert moved.structure == direct.structure != load_config().structure
+    with pytest.raises(ValueError, match="no TOML file of `boxes`"):
+        load_config(hull=file)
+    with pytest.raises(ValueError, match="lower corner below"):
+        load_config(hull=[[[0.0] * 3, [0.0] * 3]])
 
 
 def test_overrides_win_over_a_mapping_and_merge_into_nested_fields():
@@ -46,8 +184,10 @@ def test_a_field_may_change_within_a_named_preset():
         ({"reward": "rll"}, "did you mean 'rl'"),
         ({"ports": ["zvezda_aff"]}, "did you mean 'zvezda_aft'"),
         ({"ports": []}, "ports"),
-        ({"dt": -1.0}, "dt"),
-        ({"dt": float("nan")}, "dt"),
+        ({"dt": -1.0}, "dt: .* greater than 0, got -1.0 s"),
+        ({"dt": float("nan")}, "dt: .* finite number, got nan s"),
+        ({"chaser": {"mass": "heavy"}}, "chaser.mass: .* got 'heavy' kg"),
+        ({"hull": []}, "hull"),
         ({"reset": {"radius_min": 200.0, "radius_max": 100.0}}, "radius_max"),
         ({"precision": "float32"}, "precision must be 'float64'"),
         ({"preset": "datta"}, "did you mean 'data'"),

@@ -220,6 +220,45 @@ def test_one_trace_whatever_the_port_seed_and_length(vector):
     assert env.unwrapped.traces == {"reset": 1, "reset_where": 0, "step": 1}
 
 
+def test_environments_that_differ_in_numbers_share_their_programs(vector):
+    env = vector(horizon=0.3, goal_error=False)
+    env.reset(seed=0)
+    for _ in range(8):
+        plain = env.step(np.tile(ACTION, (2, 1)))[4]
+    twin = pickle.loads(pickle.dumps(env.unwrapped))
+    changes = {
+        "noise": "noncooperative",
+        "horizon": 0.4,
+        "ports": ["zvezda_aft"],
+        "reward": "rl",
+        "chaser": {"mass": 6_000.0},
+        "reset": {"radius_min": 150.0},
+        "chief": {"inclination_deg": 28.5},
+    }
+    other = vector(goal_error=False, **changes)
+    _, info = other.reset(seed=0)
+    assert set(info["port"]) == {"zvezda_aft"}
+    started = info["true_state"][:, 3:6]
+    lighter = other.step(np.tile(ACTION, (2, 1)))[4]["true_state"][:, 3:6] - started
+    assert env.unwrapped.traces == other.unwrapped.traces == {"reset": 1, "reset_where": 0, "step": 1}
+    # Twice the acceleration of half the mass, less the orbital terms of the two starts (2e-3 m/s2).
+    np.testing.assert_allclose(np.linalg.norm(lighter, axis=1), np.linalg.norm(ACTION[:3]) / 6_000 * 0.05, atol=2e-4)
+    again = twin.step(np.tile(ACTION, (2, 1)))[4]["true_state"]
+    np.testing.assert_allclose(again, env.step(np.tile(ACTION, (2, 1)))[4]["true_state"], rtol=0, atol=1e-9)
+    assert not np.allclose(again, plain["true_state"]) and twin.traces["step"] == 1
+
+
+def test_info_tells_what_was_drawn(vector):
+    env = vector(randomization={"mass_scale": (0.5, 2.0), "actuation_delay": (0, 2)})
+    _, info = env.reset(seed=3)
+    assert info["drawn_mass_scale"].shape == (2,) and info["drawn_thrust_scale"].shape == (2, 6)
+    assert np.ptp(info["drawn_mass_scale"]) > 0 and np.all(info["drawn_thrust_scale"] == 1)
+    scalar = gymnasium.make("ISSHCW-v0", randomization={"mass_scale": (0.5, 2.0), "actuation_delay": (0, 2)}, **SHORT)
+    assert scalar.reset(seed=4)[1]["drawn_mass_scale"] == pytest.approx(info["drawn_mass_scale"][1])
+    twin = pickle.loads(pickle.dumps(env.unwrapped))
+    np.testing.assert_array_equal(twin.step(np.tile(ACTION, (2, 1)))[0], env.unwrapped.step(np.tile(ACTION, (2, 1)))[0])
+
+
 def test_normalised_spaces(vector):
     env = vector(normalize=True)
     assert env.single_action_space.high.max() == 1.0

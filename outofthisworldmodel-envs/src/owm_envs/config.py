@@ -1,184 +1,65 @@
 """The configuration of a docking environment: frozen, validated, and readable from TOML, JSON or keyword arguments."""
 
-import datetime
 import difflib
 import os
 import tomllib
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
-import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
+from owm_envs.config_parts import (
+    EARTH_RADIUS,
+    NOISE_PRESETS,
+    REWARD_PRESETS,
+    Box,
+    ChaserConfig,
+    ChiefConfig,
+    DockingTolerances,
+    ForceConfig,
+    Frozen,
+    NoiseConfig,
+    Positive,
+    RandomizationConfig,
+    ResetConfig,
+    RewardConfig,
+    unit,
+)
 from owm_envs.station.ports import PORT_NAMES, port_index
 
 Fidelity = Literal["iss", "iss-hcw", "iss-numerical"]
 FIDELITIES: tuple[str, ...] = get_args(Fidelity)
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
-Vector6 = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
-Box = tuple[Vector3, Vector3]
+
+class Structure(NamedTuple):
+    """All of a configuration that its compiled programs depend on: equal structures share programs.
+
+    The rest is numbers, which reach a program as `Params`.
+    """
+
+    fidelity: str
+    precision: str
+    forces: ForceConfig
+    goal_error: bool
+    scaling: tuple | None
+    """With `normalize`: the reference epoch and the wrench limits, by which actions and observations are scaled."""
+    steps_per_action: int
+    collision_terminates: bool
+    on_off: bool
+    """Whether thrusters are on-off."""
+    longest_delay: int
+    """Simulation steps of commands to keep."""
+    randomized: bool
+    biased: bool
+    """Whether sensors have a time-correlated error."""
+    port_slots: int
+    """Length of `Params.port_choices`."""
+    hull: str | int
+    """"iss", or the number of boxes of another hull."""
+    obstacles: int
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class NoiseConfig(_Frozen):
-    """Sensor noise as total root-mean-square errors: the norm of the error vector (paper, table of noise models)."""
-
-    position: NonNegative = 0.0
-    """m, independent of range."""
-    position_per_range: NonNegative = 0.0
-    """Fraction of the true distance to the station origin, added to `position`."""
-    velocity: NonNegative = 0.0
-    """m/s."""
-    attitude: NonNegative = 0.0
-    """rad, total rotation angle."""
-    rate: NonNegative = 0.0
-    """rad/s."""
-
-
-NOISE_PRESETS: dict[str, NoiseConfig] = {
-    "none": NoiseConfig(),
-    "cooperative": NoiseConfig(position=0.05, velocity=0.002, attitude=5e-5, rate=1e-5),
-    "noncooperative": NoiseConfig(position_per_range=0.01, velocity=0.03, attitude=5e-5, rate=1e-5),
-}
-
-
-class RewardConfig(_Frozen):
-    """Weights (`w_*`), pseudo-Huber knees (`delta_*`) and scales (`sigma_*`) of the paper's reward, SI units."""
-
-    position: Finite = -0.5
-    velocity: Finite = -0.2
-    attitude: Finite = -0.2
-    rate: Finite = -0.1
-    progress: Finite = 0.0
-    proximity: Finite = 0.0
-    alignment: Finite = 0.0
-    effort: Finite = 0.0
-    collision: Finite = -1e6
-    dock: Finite = 10_000.0
-    escape: Finite = -10_000.0
-    delta_position: Positive = 1.0
-    sigma_position: Positive = 225.0
-    delta_velocity: Positive = 0.1
-    sigma_velocity: Positive = 5.0
-    delta_attitude: Positive = 0.05
-    sigma_attitude: Positive = 3.141592653589793
-    delta_rate: Positive = 0.005
-    sigma_rate: Positive = 0.05
-    gate_far: NonNegative = 0.1
-    gate_distance: Positive = 25.0
-    sigma_proximity: Positive = 1.0
-    sigma_alignment: Positive = 0.1
-
-
-REWARD_PRESETS: dict[str, RewardConfig] = {
-    "data": RewardConfig(),
-    "rl": RewardConfig(
-        position=-0.9,
-        velocity=-0.05,
-        attitude=-0.2,
-        rate=-0.02,
-        progress=-2.0,
-        proximity=0.5,
-        alignment=0.5,
-        effort=-0.05,
-        collision=-2.0,
-        dock=1000.0,
-        escape=-1000.0,
-        gate_far=0.5,
-    ),
-}
-
-
-class ResetConfig(_Frozen):
-    """Distribution of episode starts."""
-
-    radius_min: Positive = 100.0
-    radius_max: Positive = 225.0
-    attitude_error_deg: NonNegative = 10.0
-    speed: NonNegative = 0.1
-    """m/s, station-relative, upper bound of a uniform magnitude."""
-    rate: NonNegative = 0.01
-    """rad/s, station-relative, upper bound of a uniform magnitude."""
-    epoch_window: NonNegative = 7 * 86_400.0
-    """s; the start epoch is uniform over this window from the reference epoch."""
-
-    @model_validator(mode="after")
-    def _ordered(self):
-        if self.radius_max < self.radius_min:
-            raise ValueError(f"radius_max ({self.radius_max}) must be at least radius_min ({self.radius_min})")
-        return self
-
-
-class DockingTolerances(_Frozen):
-    """Docked means all four at once, station-relative."""
-
-    position: Positive = 0.1
-    speed: Positive = 0.5
-    attitude_deg: Positive = 5.0
-    rate_deg: Positive = 0.5
-
-
-class ChiefConfig(_Frozen):
-    """The station's orbit at the reference epoch and its ballistic properties."""
-
-    reference_epoch: str = "2026-08-01T00:00:00Z"
-    """UTC."""
-    semi_major_axis: Positive = 6_795_000.0
-    eccentricity: Annotated[float, Field(ge=0, lt=1)] = 0.0005
-    inclination_deg: Finite = 51.64
-    raan_deg: Finite = 0.0
-    argument_of_perigee_deg: Finite = 0.0
-    mean_anomaly_deg: Finite = 0.0
-    mass: Positive = 419_700.0
-    drag_area: NonNegative = 1500.0
-    drag_coefficient: NonNegative = 2.2
-
-    @field_validator("reference_epoch")
-    @classmethod
-    def _a_date(cls, value):
-        datetime.datetime.fromisoformat(value)
-        return value
-
-
-class ChaserConfig(_Frozen):
-    """The Dragon-class chaser."""
-
-    mass: Positive = 12_000.0
-    inertia: tuple[Positive, Positive, Positive] = (80_000.0, 80_000.0, 50_000.0)
-    """kg m2, principal, body axes."""
-    drag_area: NonNegative = 50.0
-    drag_coefficient: NonNegative = 2.2
-    radius: Positive = 2.25
-    """m, bounding sphere."""
-    force_limit: Positive = 1600.0
-    """N per body axis."""
-    torque_limit: Positive = 2000.0
-    """N m per body axis."""
-    thrust_scale: Vector6 = (1.0,) * 6
-    """Delivered over commanded wrench, per axis."""
-    misalignment: Vector3 = (0.0, 0.0, 0.0)
-    """rad, rotation vector from the commanded to the delivered wrench's axes."""
-    actuation_delay: Annotated[int, Field(ge=0)] = 0
-    """Simulation steps between command and delivery."""
-
-
-class ForceConfig(_Frozen):
-    """Perturbations of `iss-numerical`."""
-
-    zonal_degree: Literal[0, 2, 3, 4, 5, 6] = 4
-    sun: bool = True
-    moon: bool = True
-    drag: bool = True
-
-
-class DockingConfig(_Frozen):
+class DockingConfig(Frozen):
     """Everything that defines a docking environment; unknown keys are errors that name the nearest known one."""
 
     fidelity: Fidelity = "iss-numerical"
@@ -191,21 +72,26 @@ class DockingConfig(_Frozen):
     normalize: bool = False
     """Actions in [-1, 1], scaled observations, epoch as an offset from the reference."""
     precision: Literal["float32", "float64"] = "float64"
-    dt: Positive = 0.05
-    """s, simulation step."""
-    steps_per_action: Annotated[int, Field(ge=1)] = 1
+    dt: Annotated[Positive, unit("s")] = 0.05
+    """Simulation step."""
+    steps_per_action: Annotated[int, Field(ge=1), unit("steps")] = 1
     """Simulation steps over which an action is held."""
-    horizon: Positive = 360.0
-    """s, after which an episode is truncated."""
-    escape_radius: Positive = 750.0
+    horizon: Annotated[Positive, unit("s")] = 360.0
+    """Time after which an episode is truncated."""
+    escape_radius: Annotated[Positive, unit("m")] = 750.0
+    """Distance from the station origin beyond which an episode ends."""
     collision_terminates: bool = True
-    obstacles: tuple[Box, ...] = ()
-    """Extra keep-out boxes: (lower, upper) corners in the station frame, m."""
+    hull: Literal["iss"] | Annotated[tuple[Box, ...], Field(min_length=1), unit("m")] = "iss"
+    """Keep-out boxes of the station: (lower, upper) corners in the station frame. `load_config` also takes the path
+    of a TOML file that has them as `boxes`."""
+    obstacles: Annotated[tuple[Box, ...], unit("m")] = ()
+    """Extra keep-out boxes, in the same form."""
     reset: ResetConfig = ResetConfig()
     docking: DockingTolerances = DockingTolerances()
     chief: ChiefConfig = ChiefConfig()
     chaser: ChaserConfig = ChaserConfig()
     forces: ForceConfig = ForceConfig()
+    randomization: RandomizationConfig = RandomizationConfig()
 
     @field_validator("noise", mode="before")
     @classmethod
@@ -224,10 +110,10 @@ class DockingConfig(_Frozen):
             port_index(name)
         return value
 
-    @field_validator("obstacles")
+    @field_validator("hull", "obstacles")
     @classmethod
     def _corners_in_order(cls, value):
-        for lower, upper in value:
+        for lower, upper in () if value == "iss" else value:
             if not all(low < high for low, high in zip(lower, upper)):
                 raise ValueError(f"a box needs its lower corner below its upper one on each axis, got {lower}, {upper}")
         return value
@@ -241,6 +127,12 @@ class DockingConfig(_Frozen):
             )
         if self.horizon < self.dt * self.steps_per_action:
             raise ValueError("horizon must hold at least one action (dt * steps_per_action)")
+        chief, ranges = self.chief, self.randomization
+        least, most = (chief.eccentricity + offset for offset in ranges.chief_eccentricity)
+        if not (0 <= least and most < 1):
+            raise ValueError(f"chief.eccentricity with its range must stay from 0 to below 1, got {least} to {most}")
+        if (least := chief.semi_major_axis + ranges.chief_semi_major_axis[0]) <= EARTH_RADIUS:
+            raise ValueError(f"chief.semi_major_axis with its range must stay above {EARTH_RADIUS} m, got {least}")
         return self
 
     @property
@@ -248,9 +140,33 @@ class DockingConfig(_Frozen):
         """Seconds from one action to the next."""
         return self.dt * self.steps_per_action
 
-    def to_toml(self) -> str:
-        """The configuration as TOML text that `load_config` reads back."""
-        return tomli_w.dumps(self.model_dump(mode="json"))
+    @property
+    def structure(self) -> Structure:
+        """What the compiled programs depend on."""
+        chaser, ranges = self.chaser, self.randomization
+        bias = self.noise.bias
+        return Structure(
+            fidelity=self.fidelity,
+            precision=self.precision,
+            forces=self.forces,
+            goal_error=self.goal_error,
+            scaling=(self.chief.reference_epoch, chaser.force_limit, chaser.torque_limit) if self.normalize else None,
+            steps_per_action=self.steps_per_action,
+            collision_terminates=self.collision_terminates,
+            on_off=chaser.thrusters == "on_off",
+            longest_delay=chaser.actuation_delay + ranges.actuation_delay[1],
+            randomized=ranges.active,
+            biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),
+            port_slots=max(len(PORT_NAMES), len(self.ports)),
+            hull=self.hull if self.hull == "iss" else len(self.hull),
+            obstacles=len(self.obstacles),
+        )
+
+    def to_toml(self, *, notes: bool = False) -> str:
+        """The configuration as TOML text that `load_config` reads back; with `notes`, units and bounds as comments."""
+        from owm_envs.config_text import toml
+
+        return toml(self, notes=notes)
 
 
 CONFIG_PRESETS: dict[str, dict[str, Any]] = {
@@ -273,7 +189,8 @@ def load_config(
     """Build a configuration from a preset, then a file or mapping, then keyword arguments, later ones winning.
 
     Args:
-        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file.
+        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file. Where its `hull` is the path of
+            a TOML file of boxes, that is looked for beside the file.
         preset: a key of `CONFIG_PRESETS`.
         overrides: fields of `DockingConfig`; nested mappings are merged.
 
@@ -298,6 +215,8 @@ def load_config(
                 given = tomllib.load(file)
             except tomllib.TOMLDecodeError as error:
                 raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
+        if _is_path(given.get("hull")):
+            given["hull"] = os.path.join(os.path.dirname(os.fspath(config)), given["hull"])
     if (asked := given.get("fidelity")) != (named := overrides.get("fidelity", asked)) and asked is not None:
         raise ValueError(f"config is for fidelity {asked!r}, not {named!r}: make the environment id that goes with it")
     values = _merge(_merge(values, _expand(given)), _expand(overrides))
@@ -305,8 +224,9 @@ def load_config(
     try:
         return DockingConfig.model_validate(values)
     except ValidationError as error:
-        lines = [f"{'.'.join(map(str, e['loc'])) or 'config'}: {e['msg']}" for e in error.errors()]
-        raise ValueError("invalid configuration: " + "; ".join(lines)) from None
+        from owm_envs.config_text import mistakes
+
+        raise ValueError("invalid configuration: " + mistakes(error)) from None
 
 
 def unknown(kind: str, name: object, known) -> str:
@@ -331,7 +251,17 @@ def _expand(values: Mapping[str, Any]) -> dict[str, Any]:
         if key in expanded:
             value = _preset(expanded[key], presets, key)
             expanded[key] = value.model_dump() if isinstance(value, BaseModel) else value
+    if _is_path(expanded.get("hull")):
+        with open(expanded["hull"], "rb") as file:
+            try:
+                expanded["hull"] = tomllib.load(file)["boxes"]
+            except (tomllib.TOMLDecodeError, KeyError) as error:
+                raise ValueError(f"hull {os.fspath(expanded['hull'])!r} is no TOML file of `boxes`: {error}") from None
     return expanded
+
+
+def _is_path(hull: Any) -> bool:
+    return isinstance(hull, (str, os.PathLike)) and hull != "iss"
 
 
 def _merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:

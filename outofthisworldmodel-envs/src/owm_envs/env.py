@@ -7,17 +7,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from astrojax.attitude import quat_from_rotation_vector, quat_rotate
 from astrojax.time import mjd_from_calendar, normalize_epoch
-from owm_envs.config import DockingConfig, load_config
+from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.dynamics import DYNAMICS, PhysicalState
 from owm_envs.params import Params, params_from_config
+from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import swept_clearance
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.randomization import Drawn, draw, episode_params
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
-from owm_envs.task.sensors import goal_error, measure
+from owm_envs.task.sensors import advance_bias, goal_error, measure, start_bias
 
 
 class EnvState(NamedTuple):
@@ -37,6 +38,11 @@ class EnvState(NamedTuple):
     clearance: Float[Array, ""]
     """Least `swept_clearance` of the bounding sphere to any keep-out box so far, m."""
     closest: Closest
+    actuators: ActuatorState
+    bias: Float[Array, "4 3"] | None
+    """Time-correlated error of the sensors, of unit variance per axis; None without."""
+    drawn: Drawn | None
+    """What was drawn for this episode; None without randomisation."""
     episode_key: Key[Array, ""]
     next_key: Key[Array, ""]
     """From which the following episode in this slot starts."""
@@ -59,6 +65,10 @@ class DockingEnv:
     state.next_key)` starts the next one reproducibly. `place`, `begin`, `advance`, `finish` and `observe` are the
     pieces they are made of, for environments that put something in between.
 
+    Environments of equal `structure` are equal and run the same compiled programs; what else they are configured to
+    is in their `params` alone. So pass `params` into a compiled function that takes the environment as a static
+    argument, rather than ask for `default_params()` inside it.
+
     Args:
         config: as `load_config` takes it.
         overrides: fields of `DockingConfig`.
@@ -69,6 +79,7 @@ class DockingEnv:
 
     def __init__(self, config: DockingConfig | Mapping[str, Any] | str | None = None, **overrides: Any):
         self.config = load_config(config, **overrides)
+        self.structure: Structure = self.config.structure
         self.dynamics = DYNAMICS[self.config.fidelity](self.config)
         chaser = self.config.chaser
         self.layout = ObservationLayout(
@@ -78,6 +89,12 @@ class DockingEnv:
             reference_day=float(mjd_from_calendar(self.config.chief.reference_epoch)[0]),
             wrench_limit=(chaser.force_limit,) * 3 + (chaser.torque_limit,) * 3,
         )
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and other.structure == self.structure
+
+    def __hash__(self) -> int:
+        return hash(self.structure)
 
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
@@ -93,14 +110,30 @@ class DockingEnv:
             port: index of the port to dock at; negative draws one of the configured ports.
         """
         next_key, episode_key = jax.random.split(key)
+        drawn = self.draw(params, episode_key)
         start = sample_start(params, key=named_key(episode_key, "start"), port=jnp.asarray(port, jnp.int32))
-        return self.observe(params, self.place(params, start, episode_key, next_key))
+        return self.observe(params, self.place(params, start, drawn, episode_key, next_key))
 
-    def place(self, params: Params, start: Start, episode_key: Key[Array, ""], next_key: Key[Array, ""]) -> EnvState:
+    def draw(self, params: Params, episode_key: Key[Array, ""]) -> Drawn | None:
+        """What the configured ranges leave to each episode; None if they leave nothing."""
+        if not self.structure.randomized:
+            return None
+        return draw(params.randomization, key=named_key(episode_key, "randomization"))
+
+    def place(
+        self,
+        params: Params,
+        start: Start,
+        drawn: Drawn | None,
+        episode_key: Key[Array, ""],
+        next_key: Key[Array, ""],
+    ) -> EnvState:
         """The state of an episode about to begin at `start`, not observed yet."""
+        params = episode_params(params, drawn)
         physics = self.dynamics.init(params, start.epoch, start.view)
-        delay = self.config.chaser.actuation_delay
-        physics = physics._replace(actuator=jnp.zeros((delay, 6), start.view.dtype))
+        bias = None
+        if self.structure.biased:
+            bias = start_bias(start.view.dtype, key=self._bias_key(episode_key, 0))
         clearance = self._clearance(params, start.view[:3], start.view[:3])
         closest = self._approach(params, start.port, start.view, physics.elapsed)
         return EnvState(
@@ -113,6 +146,9 @@ class DockingEnv:
             collided=clearance <= 0,
             clearance=clearance,
             closest=closest,
+            actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
+            bias=bias,
+            drawn=drawn,
             episode_key=episode_key,
             next_key=next_key,
         )
@@ -132,15 +168,16 @@ class DockingEnv:
             return (kept, touched | (touches & running)), None
 
         carry = (started, jnp.zeros((), bool))
-        if self.config.steps_per_action == 1:
+        if self.structure.steps_per_action == 1:
             carry, _ = substep(carry, None)
         else:
-            carry, _ = jax.lax.scan(substep, carry, length=self.config.steps_per_action)
+            carry, _ = jax.lax.scan(substep, carry, length=self.structure.steps_per_action)
         ended, touched = carry
         return self.finish(params, state, ended, wrench, touched)
 
     def begin(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, Float[Array, "6"]]:
         """Before a decision's first simulation step: the state, ended if the action is not finite, and the wrench."""
+        params = episode_params(params, state.drawn)
         valid = jnp.all(jnp.isfinite(action))
         wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(state.view.dtype), params.chaser.wrench_limit)
         invalid = (state.outcome == Outcome.RUNNING) & ~valid
@@ -158,10 +195,16 @@ class DockingEnv:
             wrench: the command held, N and N m.
             touched: whether any of them touched something.
         """
+        params = episode_params(params, state.drawn)
         was_running = state.outcome == Outcome.RUNNING
         count = state.count + was_running
         late = (ended.outcome == Outcome.RUNNING) & (count >= params.horizon_steps)
         ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
+        if state.bias is not None:
+            key = self._bias_key(state.episode_key, count)
+            lapse = params.dt * self.structure.steps_per_action
+            bias = advance_bias(state.bias, params.noise.bias.correlation_time, lapse, key=key)
+            ended = ended._replace(bias=jnp.where(was_running, bias, state.bias))
         goal = params.goals[ended.port]
         earned = reward(
             params,
@@ -184,7 +227,7 @@ class DockingEnv:
 
         Returns:
             true_state and measured_state (13,), goal_pose (7,), true_goal_error (12,), epoch [MJD day, s of day],
-            port, outcome, collided, clearance, and the errors at closest approach, SI units.
+            port, outcome, collided, clearance, the errors at closest approach, SI units, and what was drawn.
         """
         goal = params.goals[state.port]
         return {
@@ -198,13 +241,14 @@ class DockingEnv:
             "collided": state.collided,
             "clearance": state.clearance,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
+            **({} if state.drawn is None else {f"drawn_{k}": v for k, v in state.drawn._asdict().items()}),
         }
 
     def advance(self, params: Params, state: EnvState, wrench: Float[Array, "6"]) -> tuple[EnvState, Bool[Array, ""]]:
         """One simulation step and its events, whatever the outcome so far; also whether the hull was touched."""
-        queue = jnp.concatenate([state.physics.actuator, wrench[None]])
-        delivered = self._deliver(params, queue[0])
-        physics = self.dynamics.step(params, state.physics._replace(actuator=queue[1:]), delivered, params.dt)
+        params = episode_params(params, state.drawn)
+        actuators, delivered = deliver(params.chaser, state.actuators, wrench, params.dt)
+        physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
         sign = jnp.where(jnp.sum(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
@@ -218,12 +262,13 @@ class DockingEnv:
 
         docked = is_docked(jnp.stack(approach[:4]), params.docking)
         escaped = jnp.sum(view[:3] ** 2) > params.escape_radius**2
-        crashed = touches & self.config.collision_terminates
+        crashed = touches & self.structure.collision_terminates
         outcome = jnp.select(
             [crashed, docked, escaped], [Outcome.COLLIDED, Outcome.DOCKED, Outcome.ESCAPED], Outcome.RUNNING
         ).astype(jnp.int32)
         state = state._replace(
             physics=physics,
+            actuators=actuators,
             view=view,
             outcome=outcome,
             collided=state.collided | touches,
@@ -232,11 +277,8 @@ class DockingEnv:
         )
         return state, touches
 
-    def _deliver(self, params, wrench):
-        """What the thrusters make of a command."""
-        turn = quat_from_rotation_vector(params.chaser.misalignment)
-        scaled = wrench * params.chaser.thrust_scale
-        return jnp.concatenate([quat_rotate(turn, scaled[:3]), quat_rotate(turn, scaled[3:])])
+    def _bias_key(self, episode_key, count):
+        return jax.random.fold_in(named_key(episode_key, "sensor bias"), count)
 
     def _clearance(self, params, start, end):
         boxes = jnp.concatenate([params.hull, params.obstacles])
@@ -252,6 +294,6 @@ class DockingEnv:
     def observe(self, params: Params, state: EnvState) -> tuple[EnvState, Float[Array, "O"]]:
         """Measure: the state with its measurement, and the observation."""
         key = jax.random.fold_in(named_key(state.episode_key, "noise"), state.count)
-        measured = measure(params.noise, state.view, key=key)
+        measured = measure(params.noise, state.view, state.bias, key=key)
         error = goal_error(measured, params.goals[state.port])
         return state._replace(measured=measured), self.layout.observe(self._epoch(state), measured, error)

@@ -43,7 +43,7 @@ class FleetState(NamedTuple):
 
 
 # Where the axis of the chasers stands in what `vmap` maps over; None is shared.
-_SHARED = PhysicalState(epoch=None, elapsed=None, chief=None, chaser=0, actuator=0)
+_SHARED = PhysicalState(epoch=None, elapsed=None, chief=None, chaser=0)
 _CHASERS = EnvState(*[0] * len(EnvState._fields))._replace(physics=_SHARED)
 
 
@@ -137,8 +137,12 @@ class FleetEnv:
         next_keys, episode_keys = jax.vmap(jax.random.split, out_axes=1)(jnp.concatenate([key[None], others]))
         ports = assign_ports(params.port_choices, ports, key=named_key(episode_keys[0], "ports"))
         starts = _separate_starts(params, episode_keys, ports)
-        chasers = jax.vmap(self.docking.place, (None, Start(None, 0, 0), 0, 0))(
-            params, starts._replace(epoch=starts.epoch[0]), episode_keys, next_keys
+        drawn = jax.vmap(self.docking.draw, (None, 0))(params, episode_keys)
+        if drawn is not None:
+            one_orbit = jnp.broadcast_to(drawn.chief_elements[0], drawn.chief_elements.shape)
+            drawn = drawn._replace(chief_elements=one_orbit)
+        chasers = jax.vmap(self.docking.place, (None, Start(None, 0, 0), 0, 0, 0))(
+            params, starts._replace(epoch=starts.epoch[0]), drawn, episode_keys, next_keys
         )
         chasers = jax.tree.map(
             lambda axis, leaf: leaf[0] if axis is None else leaf, _CHASERS, chasers, is_leaf=lambda x: x is None

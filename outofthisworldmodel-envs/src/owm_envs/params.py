@@ -23,7 +23,7 @@ class ChiefParams(NamedTuple):
 
 
 class ChaserParams(NamedTuple):
-    """The chaser: kg, kg m2 about body axes, m2, m, N, N m; wrench scale and misalignment as in `ChaserConfig`."""
+    """The chaser: kg, kg m2 about body axes, m2, m, N and N m, s, simulation steps; as in `ChaserConfig`."""
 
     mass: Float[Array, ""]
     inertia: Float[Array, "3 3"]
@@ -33,6 +33,20 @@ class ChaserParams(NamedTuple):
     wrench_limit: Float[Array, "6"]
     thrust_scale: Float[Array, "6"]
     misalignment: Float[Array, "3"]
+    actuation_delay: Int[Array, ""]
+    """At most `Structure.longest_delay`."""
+    thruster_quantum: Float[Array, "6"]
+    minimum_on_time: Float[Array, ""]
+
+
+class BiasParams(NamedTuple):
+    """Total root-mean-square errors and correlation time, as in `BiasConfig`; unused where that has no size."""
+
+    position: Float[Array, ""]
+    velocity: Float[Array, ""]
+    attitude: Float[Array, ""]
+    rate: Float[Array, ""]
+    correlation_time: Float[Array, ""]
 
 
 class NoiseParams(NamedTuple):
@@ -43,6 +57,7 @@ class NoiseParams(NamedTuple):
     velocity: Float[Array, ""]
     attitude: Float[Array, ""]
     rate: Float[Array, ""]
+    bias: BiasParams
 
 
 class ResetParams(NamedTuple):
@@ -65,6 +80,19 @@ class DockingParams(NamedTuple):
     rate: Float[Array, ""]
 
 
+class RandomizationParams(NamedTuple):
+    """Ranges (low, high) of an episode's draws, as in `RandomizationConfig`; unused while that is not active."""
+
+    mass_scale: Float[Array, "2"]
+    inertia_scale: Float[Array, "2"]
+    thrust_scale: Float[Array, "2"]
+    misalignment: Float[Array, "2"]
+    """rad."""
+    actuation_delay: Int[Array, "2"]
+    chief_elements: Float[Array, "6 2"]
+    """[m, -, rad, rad, rad, rad]."""
+
+
 class Params(NamedTuple):
     """All of an environment's numbers."""
 
@@ -78,12 +106,15 @@ class Params(NamedTuple):
     goals: Float[Array, "P 7"]
     """Hold pose of each port: position m, quaternion body to station."""
     port_choices: Int[Array, "C"]
+    """Ports that may be assigned: the first `port_count`, each as likely."""
+    port_count: Int[Array, ""]
     chief: ChiefParams
     chaser: ChaserParams
     noise: NoiseParams
     reset: ResetParams
     docking: DockingParams
     reward: dict[str, Float[Array, ""]]
+    randomization: RandomizationParams
 
 
 def params_from_config(config: DockingConfig) -> Params:
@@ -102,16 +133,20 @@ def params_from_config(config: DockingConfig) -> Params:
     def real(value) -> jax.Array:
         return jnp.asarray(value, dtype)
 
-    chief, chaser = config.chief, config.chaser
+    chief, chaser, noise, ranges = config.chief, config.chaser, config.noise, config.randomization
+    ports = [port_index(name) for name in config.ports]
+    padding = [ports[0]] * (config.structure.port_slots - len(ports))
+    hull = hull_boxes() if config.hull == "iss" else np.asarray(config.hull, np.float64)
     angles = np.radians([chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg])
     return Params(
         dt=real(config.dt),
         horizon_steps=jnp.asarray(round(config.horizon / config.decision_dt), jnp.int32),
         escape_radius=real(config.escape_radius),
-        hull=real(hull_boxes()),
+        hull=real(hull),
         obstacles=real(np.asarray(config.obstacles, np.float64).reshape(-1, 2, 3)),
         goals=real(goal_poses()),
-        port_choices=jnp.asarray([port_index(name) for name in config.ports], jnp.int32),
+        port_choices=jnp.asarray(ports + padding, jnp.int32),
+        port_count=jnp.asarray(len(ports), jnp.int32),
         chief=ChiefParams(
             epoch=real(mjd_from_calendar(chief.reference_epoch)),
             elements=real([chief.semi_major_axis, chief.eccentricity, *angles]),
@@ -128,8 +163,14 @@ def params_from_config(config: DockingConfig) -> Params:
             wrench_limit=real([chaser.force_limit] * 3 + [chaser.torque_limit] * 3),
             thrust_scale=real(chaser.thrust_scale),
             misalignment=real(chaser.misalignment),
+            actuation_delay=jnp.asarray(chaser.actuation_delay, jnp.int32),
+            thruster_quantum=real([chaser.thruster_force] * 3 + [chaser.thruster_torque] * 3),
+            minimum_on_time=real(chaser.minimum_on_time),
         ),
-        noise=NoiseParams(**{k: real(v) for k, v in config.noise.model_dump().items()}),
+        noise=NoiseParams(
+            **{name: real(value) for name, value in noise if name != "bias"},
+            bias=BiasParams(**{name: real(value) for name, value in noise.bias}),
+        ),
         reset=ResetParams(
             radius_min=real(config.reset.radius_min),
             radius_max=real(config.reset.radius_max),
@@ -144,5 +185,22 @@ def params_from_config(config: DockingConfig) -> Params:
             attitude=real(np.radians(config.docking.attitude_deg)),
             rate=real(np.radians(config.docking.rate_deg)),
         ),
-        reward={name: real(value) for name, value in config.reward.model_dump().items()},
+        reward={name: real(value) for name, value in config.reward},
+        randomization=RandomizationParams(
+            mass_scale=real(ranges.mass_scale),
+            inertia_scale=real(ranges.inertia_scale),
+            thrust_scale=real(ranges.thrust_scale),
+            misalignment=real(np.radians(ranges.misalignment_deg)),
+            actuation_delay=jnp.asarray(ranges.actuation_delay, jnp.int32),
+            chief_elements=real(
+                [
+                    ranges.chief_semi_major_axis,
+                    ranges.chief_eccentricity,
+                    np.radians(ranges.chief_inclination_deg),
+                    np.radians(ranges.chief_raan_deg),
+                    np.radians(ranges.chief_argument_of_perigee_deg),
+                    np.radians(ranges.chief_mean_anomaly_deg),
+                ]
+            ),
+        ),
     )

@@ -27,20 +27,22 @@ class StepOutput(NamedTuple):
 
 
 class BatchProgram:
-    """`reset`, `reset_where` and `step` of a batch of episodes, compiled once per configuration and batch size.
+    """`reset`, `reset_where` and `step` of a batch of episodes of one configuration.
 
-    `traces` counts compilations by program, for tests and reports.
+    The programs behind it are shared by all batches of equal structure, automatic reset and size.
     """
 
-    def __init__(self, config: DockingConfig, autoreset: AutoresetMode):
+    def __init__(self, config: DockingConfig, autoreset: AutoresetMode, num_envs: int):
         self.env = DockingEnv(config)
         self.autoreset = autoreset
-        self.traces = {"reset": 0, "reset_where": 0, "step": 0}
         with jax.enable_x64(True):
             self.params: Params = self.env.default_params()
-        self._reset = jax.jit(self._reset_batch)
-        self._reset_where = jax.jit(self._reset_masked)
-        self._step = jax.jit(self._step_batch)
+        self._programs = _programs(self.env, autoreset, num_envs)
+
+    @property
+    def traces(self) -> dict[str, int]:
+        """Compilations so far by program, for tests and reports."""
+        return self._programs.traces
 
     def keys(self, seeds: list[int]) -> jax.Array:
         """One key per slot from its seed; a seed may have up to 64 bits."""
@@ -54,20 +56,32 @@ class BatchProgram:
     def reset(self, keys, ports) -> tuple[EnvState, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode in every slot: keys (B,), ports (B,) with -1 for a drawn one."""
         with jax.enable_x64(True):
-            state, *host = self._reset(self.params, keys, np.asarray(ports, np.int32))
+            state, *host = self._programs.reset(self.params, keys, np.asarray(ports, np.int32))
             return state, *jax.device_get(tuple(host))
 
     def reset_where(self, state, mask, keys, ports) -> tuple[EnvState, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode in the slots of `mask` (B,); the observation is meaningful there only."""
         with jax.enable_x64(True):
-            state, *host = self._reset_where(self.params, state, mask, keys, np.asarray(ports, np.int32))
+            state, *host = self._programs.reset_where(self.params, state, mask, keys, np.asarray(ports, np.int32))
             return state, *jax.device_get(tuple(host))
 
     def step(self, state, actions) -> tuple[EnvState, StepOutput]:
         """Advance every slot by one decision: actions (B, 6)."""
         with jax.enable_x64(True):
-            state, output = self._step(self.params, state, actions)
+            state, output = self._programs.step(self.params, state, actions)
             return state, jax.device_get(output)
+
+
+class _Programs:
+    """What is compiled once: functions of `params` and the state of a batch."""
+
+    def __init__(self, env: DockingEnv, autoreset: AutoresetMode):
+        self.env = env
+        self.autoreset = autoreset
+        self.traces = {"reset": 0, "reset_where": 0, "step": 0}
+        self.reset = jax.jit(self._reset_batch)
+        self.reset_where = jax.jit(self._reset_masked)
+        self.step = jax.jit(self._step_batch)
 
     def _info(self, params, state):
         return jax.vmap(self.env.info, (None, 0))(params, state)
@@ -112,9 +126,9 @@ class BatchProgram:
 
 
 @lru_cache(maxsize=32)
-def batch_program(config: DockingConfig, autoreset: AutoresetMode) -> BatchProgram:
-    """The program of a configuration, shared by all environments that have it."""
-    return BatchProgram(config, autoreset)
+def _programs(env: DockingEnv, autoreset: AutoresetMode, num_envs: int) -> _Programs:
+    """The programs of an environment's structure; its numbers play no part."""
+    return _Programs(env, autoreset)
 
 
 def seed_keys(seeds: list[int]) -> jax.Array:

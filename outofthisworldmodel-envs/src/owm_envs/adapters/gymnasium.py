@@ -9,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from owm_envs.adapters.batch import batch_program, state_from_host, state_to_host
+from owm_envs.adapters.batch import BatchProgram, state_from_host, state_to_host
 from owm_envs.config import DockingConfig, load_config, unknown
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import Outcome
@@ -28,7 +28,7 @@ class _Shell:
             raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
         self.config: DockingConfig = load_config(config, **overrides)
         self.render_mode = render_mode
-        self._program = batch_program(self.config, autoreset)
+        self._program = BatchProgram(self.config, autoreset, num_envs)
         self.docking_env = self._program.env
         self._num_slots = num_envs
         self._state = None
@@ -45,7 +45,7 @@ class _Shell:
 
     @property
     def traces(self) -> dict[str, int]:
-        """Compilations so far of this configuration's programs."""
+        """Compilations so far of the programs that environments of this structure and size share."""
         return dict(self._program.traces)
 
     def _port_choice(self, port) -> int:
@@ -118,7 +118,7 @@ class _Shell:
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         kept = dict(kept)
-        self._program = batch_program(kept["config"], kept.pop("_autoreset"))
+        self._program = BatchProgram(kept["config"], kept.pop("_autoreset"), kept["_num_slots"])
         self.docking_env = self._program.env
         state = kept.pop("_host_state")
         self._state = None if state is None else state_from_host(state)

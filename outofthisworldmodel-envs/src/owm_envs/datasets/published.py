@@ -67,13 +67,10 @@ def _relative_states(inertial: np.ndarray) -> np.ndarray:
 
     from owm_envs.dynamics import PhysicalState, VehicleState
     from owm_envs.dynamics.numerical import NumericalOrbits
-    from owm_envs.dynamics.state import no_commands
 
     def one(row):
         chaser = VehicleState(row[8:14], row[14:18], row[18:21])
-        return NumericalOrbits().relative_state(
-            None, PhysicalState(row[:2], row[1], row[2:8], chaser, no_commands(row))
-        )
+        return NumericalOrbits().relative_state(None, PhysicalState(row[:2], row[1], row[2:8], chaser))
 
     with jax.enable_x64(True):
         return np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(inertial)))

@@ -23,7 +23,7 @@ class Dynamics(Protocol):
     """Whether observations are prefixed with the epoch."""
 
     def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
-        """State at `epoch` [MJD day, s of day] whose relative view is `view`; empty actuator buffer."""
+        """State at `epoch` [MJD day, s of day] whose relative view is `view`."""
 
     def step(
         self, params: Params, state: PhysicalState, wrench: Float[Array, "6"], dt: Float[Array, ""]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from astrojax.attitude import accel_euler, quat_derivative, quat_normalize, quat_rotate
 from astrojax.integrators import rk4_step
-from owm_envs.dynamics.state import PhysicalState, VehicleState, no_commands
+from owm_envs.dynamics.state import PhysicalState, VehicleState
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class FreeFlyer:
     def init(self, params, epoch, view):
         """State with the relative view `view` (13,) at `epoch` (2,)."""
         chaser = VehicleState(view[:6], view[6:10], view[10:13])
-        return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser, no_commands(view))
+        return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
     def step(self, params, state, wrench, dt):
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""

@@ -20,7 +20,7 @@ from astrojax.attitude import (
 from astrojax.constants import GM_EARTH
 from astrojax.elements import mean_motion
 from astrojax.integrators import rk4_step
-from owm_envs.dynamics.state import PhysicalState, VehicleState, no_commands
+from owm_envs.dynamics.state import PhysicalState, VehicleState
 
 
 def station_rate(params):
@@ -40,7 +40,7 @@ class HillClohessyWiltshire:
         attitude = view[6:10]
         rate = view[10:13] + quat_rotate(quat_conjugate(attitude), station_rate(params))
         chaser = VehicleState(view[:6], attitude, rate)
-        return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser, no_commands(view))
+        return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
     def step(self, params, state, wrench, dt):
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""

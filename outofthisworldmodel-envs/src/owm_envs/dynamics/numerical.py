@@ -28,7 +28,7 @@ from astrojax.gravity import accel_two_body, accel_zonal
 from astrojax.integrators import rk4_step
 from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
-from owm_envs.dynamics.state import PhysicalState, VehicleState, no_commands
+from owm_envs.dynamics.state import PhysicalState, VehicleState
 
 RTN_TO_STATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Station axes x = N, y = -T, z = R."""
@@ -69,7 +69,7 @@ class NumericalOrbits:
         attitude = quat_multiply(rotation_to_quat(to_eci), view[6:10])
         rate = view[10:13] + quat_rotate(quat_conjugate(view[6:10]), frame.rate)
         chaser = VehicleState(jnp.concatenate([position, velocity]), attitude, rate)
-        return PhysicalState(epoch, jnp.zeros((), view.dtype), chief, chaser, no_commands(view))
+        return PhysicalState(epoch, jnp.zeros((), view.dtype), chief, chaser)
 
     def step(self, params, state, wrench, dt):
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""

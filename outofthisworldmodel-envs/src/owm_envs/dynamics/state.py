@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
@@ -22,17 +21,10 @@ class PhysicalState(NamedTuple):
     """Both vehicles at one instant.
 
     `epoch` is the episode's start [MJD day, s of day] UTC and `elapsed` the seconds since; `chief` is the station's
-    inertial orbit, of length zero where the fidelity does not propagate it; `actuator` holds the wrench commands
-    still on their way, oldest first, of length zero without delay.
+    inertial orbit, of length zero where the fidelity does not propagate it.
     """
 
     epoch: Float[Array, "2"]
     elapsed: Float[Array, ""]
     chief: Float[Array, "C"]
     chaser: VehicleState
-    actuator: Float[Array, "D 6"]
-
-
-def no_commands(like: Float[Array, "..."]) -> Float[Array, "0 6"]:
-    """An actuator buffer without delay, in the dtype of `like`."""
-    return jnp.zeros((0, 6), like.dtype)

@@ -25,8 +25,15 @@ def named_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
     return jax.random.fold_in(key, zlib.crc32(name.encode()))
 
 
+def isotropic(key: Key[Array, ""], dtype) -> Float[Array, "3"]:
+    """A unit vector, uniform on the sphere."""
+    vector = jax.random.normal(key, (3,), dtype)
+    norm = jnp.linalg.norm(vector)
+    return jnp.where(norm > 0, vector / jnp.where(norm > 0, norm, 1), jnp.eye(3, dtype=dtype)[0])
+
+
 def sample_start(params: Params, *, key: Key[Array, ""], port: Int[Array, ""]) -> Start:
-    """Draw a start; a negative `port` is drawn uniformly from `params.port_choices`.
+    """Draw a start; a negative `port` is drawn uniformly from the first `port_count` of `params.port_choices`.
 
     No draw depends on the time step or on another draw's presence.
     """
@@ -37,9 +44,7 @@ def sample_start(params: Params, *, key: Key[Array, ""], port: Int[Array, ""]) -
         return jax.random.uniform(named_key(key, name), (), dtype, low, high)
 
     def direction(name):
-        vector = jax.random.normal(named_key(key, name), (3,), dtype)
-        norm = jnp.linalg.norm(vector)
-        return jnp.where(norm > 0, vector / jnp.where(norm > 0, norm, 1), jnp.eye(3, dtype=dtype)[0])
+        return isotropic(named_key(key, name), dtype)
 
     outward = direction("position direction")
     position = uniform("radius", ranges.radius_min, ranges.radius_max) * outward
@@ -55,7 +60,7 @@ def sample_start(params: Params, *, key: Key[Array, ""], port: Int[Array, ""]) -
     offset = uniform("epoch", 0, ranges.epoch_window)
     epoch = jnp.stack(normalize_epoch(params.chief.epoch[0], params.chief.epoch[1] + offset))
 
-    choice = jax.random.randint(named_key(key, "port"), (), 0, params.port_choices.size, jnp.int32)
+    choice = jax.random.randint(named_key(key, "port"), (), 0, params.port_count, jnp.int32)
     assigned = jnp.where(port < 0, params.port_choices[choice], port).astype(jnp.int32)
     return Start(epoch, jnp.concatenate([position, velocity, attitude, rate]), assigned)
 

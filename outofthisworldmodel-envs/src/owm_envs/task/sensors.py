@@ -14,10 +14,34 @@ from owm_envs.params import NoiseParams
 from owm_envs.task.events import safe_norm
 
 
-def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]) -> Float[Array, "13"]:
+def start_bias(dtype, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
+    """A time-correlated error of unit variance per axis at the start of an episode: already stationary."""
+    return jax.random.normal(key, (4, 3), jnp.float32).astype(dtype)
+
+
+def advance_bias(
+    bias: Float[Array, "4 3"], correlation_time: Float[Array, ""], dt: Float[Array, ""], *, key: Key[Array, ""]
+) -> Float[Array, "4 3"]:
+    """The time-correlated error `dt` seconds later: exact for a first-order Gauss-Markov process at any step.
+
+    Source: Gelb, Applied Optimal Estimation (1974), sec. 3.6 and 3.8.
+    """
+    lapse = dt / correlation_time
+    fresh = -jnp.expm1(-2 * lapse)
+    moving = fresh > 0
+    spread = jnp.where(moving, jnp.sqrt(jnp.where(moving, fresh, 1)), 0)
+    return jnp.exp(-lapse) * bias + spread * start_bias(bias.dtype, key=key)
+
+
+def measure(
+    noise: NoiseParams, view: Float[Array, "13"], bias: Float[Array, "4 3"] | None = None, *, key: Key[Array, ""]
+) -> Float[Array, "13"]:
     """Corrupt a true relative view by isotropic Gaussian errors of the given total root-mean-square sizes.
 
     The attitude error is a rotation in body axes. Source: paper, table of sensor noise models.
+
+    Args:
+        bias: time-correlated error of unit variance per axis: position, velocity, attitude, rate; none when None.
     """
     position, velocity, attitude, rate = view[:3], view[3:6], view[6:10], view[10:]
     total = jnp.stack(
@@ -28,9 +52,10 @@ def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]
             noise.rate,
         ]
     )
-    per_axis = total / jnp.sqrt(jnp.asarray(3, view.dtype))
     # Seven digits are plenty for an error, and cost a third of sixteen.
-    errors = per_axis[:, None] * jax.random.normal(key, (4, 3), jnp.float32).astype(view.dtype)
+    errors = _per_axis(total)[:, None] * jax.random.normal(key, (4, 3), jnp.float32).astype(view.dtype)
+    if bias is not None:
+        errors = errors + _per_axis(jnp.stack(noise.bias[:4]))[:, None] * bias
     return jnp.concatenate(
         [
             position + errors[0],
@@ -39,6 +64,10 @@ def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]
             rate + errors[3],
         ]
     )
+
+
+def _per_axis(total: Float[Array, "4"]) -> Float[Array, "4"]:
+    return total / jnp.sqrt(jnp.asarray(3, total.dtype))
 
 
 def goal_error(view: Float[Array, "13"], goal: Float[Array, "7"]) -> Float[Array, "12"]:

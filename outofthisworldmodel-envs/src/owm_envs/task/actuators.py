@@ -1,0 +1,84 @@
+"""What the thrusters make of a commanded wrench: late, in pulses, scaled and turned, as configured.
+
+On-off thrusters deliver along each body axis a whole number of quanta, kept for at least the minimum on-time. Each
+axis remembers the impulse it still owes. Whenever its last pulse is over, it chooses the level that would settle the
+debt if the command stayed as it is for one pulse (first-order error feedback, as in a sigma-delta modulator), never
+against the sign of the command. With q the quantum, P the pulse's length, dt the step and L the most quanta within
+the limit, delivered and commanded impulse differ by at most q P / 2 at the ends of pulses while commands change only
+there, and always by at most q P / 2 + 2 L q (P - dt). A command beyond L q counts as L q.
+
+Not modelled: single thrusters with their places and couplings, rise and decay of thrust, a minimum off-time,
+propellant. The gradient of an on-off wrench with respect to its command is zero.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from astrojax.attitude import quat_from_rotation_vector, quat_rotate
+from owm_envs.params import ChaserParams
+
+
+class Pulses(NamedTuple):
+    """On-off thrusters between two simulation steps, per axis of the wrench."""
+
+    owed: Float[Array, "6"]
+    """Commanded less delivered impulse, N s and N m s."""
+    level: Float[Array, "6"]
+    """Quanta being delivered."""
+    left: Int[Array, "6"]
+    """Simulation steps left of the pulse."""
+
+
+class ActuatorState(NamedTuple):
+    """Commands still on their way, oldest first, and the pulses of on-off thrusters, None without."""
+
+    queue: Float[Array, "D 6"]
+    pulses: Pulses | None
+
+
+def actuators_at_rest(longest_delay: int, on_off: bool, dtype) -> ActuatorState:
+    """No command on its way for up to `longest_delay` simulation steps, no pulse begun."""
+    none = jnp.zeros(6, dtype)
+    pulses = Pulses(none, none, jnp.zeros(6, jnp.int32)) if on_off else None
+    return ActuatorState(jnp.zeros((longest_delay, 6), dtype), pulses)
+
+
+def deliver(
+    chaser: ChaserParams, state: ActuatorState, wrench: Float[Array, "6"], dt: Float[Array, ""]
+) -> tuple[ActuatorState, Float[Array, "6"]]:
+    """One simulation step of `dt` seconds: the next state, and the body wrench that acts during it.
+
+    Args:
+        wrench: command, N and N m, body axes.
+    """
+    queue = state.queue
+    longest = queue.shape[0]
+    if longest:
+        queue = jnp.concatenate([queue, wrench[None]])
+        wrench = queue[longest - jnp.clip(chaser.actuation_delay, 0, longest)]
+        queue = queue[1:]
+    pulses = state.pulses
+    if pulses is not None:
+        pulses = _pulse(chaser, pulses, wrench, dt)
+        wrench = pulses.level * chaser.thruster_quantum
+    turn = quat_from_rotation_vector(chaser.misalignment)
+    scaled = wrench * chaser.thrust_scale
+    delivered = jnp.concatenate([quat_rotate(turn, scaled[:3]), quat_rotate(turn, scaled[3:])])
+    return ActuatorState(queue, pulses), delivered
+
+
+def _pulse(chaser: ChaserParams, pulses: Pulses, command: Float[Array, "6"], dt: Float[Array, ""]) -> Pulses:
+    quantum = chaser.thruster_quantum
+    # A little less than the ratio, so that an on-time of whole steps is not rounded up to one more.
+    steps = jnp.maximum(jnp.ceil(chaser.minimum_on_time / dt - 1e-6), 1)
+    most = jnp.floor(chaser.wrench_limit / quantum + 1e-6)
+    command = jnp.clip(command, -most * quantum, most * quantum)
+    wanted = jnp.round(pulses.owed / (quantum * steps * dt) + command / quantum)
+    # Never against the command, and so nothing without one.
+    wanted = jnp.clip(wanted, jnp.where(command < 0, -most, 0), jnp.where(command > 0, most, 0))
+    idle = pulses.left == 0
+    level = jnp.where(idle, wanted, pulses.level)
+    left = jnp.where(idle, jnp.where(level == 0, 0, steps).astype(jnp.int32), pulses.left)
+    return Pulses(pulses.owed + (command - level * quantum) * dt, level, jnp.maximum(left - 1, 0))

@@ -1,0 +1,146 @@
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from owm_envs.config import load_config
+from owm_envs.params import params_from_config
+from owm_envs.task.actuators import actuators_at_rest, deliver
+
+LIMIT = np.array([1600.0] * 3 + [2000.0] * 3)
+QUANTUM = np.array([400.0] * 3 + [500.0] * 3)
+DT = 0.05
+STEPS = 120
+
+
+@pytest.fixture(scope="module")
+def fly():
+    """Delivers a sequence of commands (T, 6): wrenches (T, 6), quanta (T, 6) and impulse owed (T, 6)."""
+    with jax.enable_x64(True):
+        chaser = params_from_config(load_config(chaser={"thrusters": "on_off"})).chaser
+
+    def run(commands, minimum_on_time, scale, delay, on_off=True, longest=3):
+        mine = chaser._replace(minimum_on_time=minimum_on_time, thrust_scale=scale, actuation_delay=delay)
+
+        def step(state, command):
+            state, wrench = deliver(mine, state, command, jnp.asarray(DT))
+            pulses = state.pulses
+            return state, (wrench, *((pulses.level, pulses.owed) if on_off else ()))
+
+        start = actuators_at_rest(longest, on_off, commands.dtype)
+        return jax.lax.scan(step, start, commands)[1]
+
+    compiled = jax.jit(run, static_argnums=(4, 5))
+
+    def flown(commands, minimum_on_time=DT, scale=(1.0,) * 6, delay=0, **static):
+        with jax.enable_x64(True):
+            numbers = jnp.asarray(minimum_on_time), jnp.asarray(scale), jnp.asarray(delay, jnp.int32)
+            return [np.asarray(x) for x in compiled(jnp.asarray(commands, float), *numbers, *static.values())]
+
+    return flown
+
+
+def commands(draw, hold):
+    """Fractions of the limits, each held for `hold` steps, with a good share of zeros."""
+    count = -(-STEPS // hold)
+    some = st.one_of(st.just(0.0), st.floats(-1, 1))
+    values = draw(st.lists(st.tuples(*[some] * 6), min_size=count, max_size=count))
+    return np.repeat(np.array(values), hold, axis=0)[:STEPS] * LIMIT
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data())
+def test_delivered_impulse_is_within_half_a_pulse_of_the_commanded(fly, data):
+    wanted = commands(data.draw, data.draw(st.sampled_from([1, 7, 40])))
+    wrench, *_ = fly(wanted)
+    apart = np.cumsum(wanted - wrench, axis=0) * DT
+    assert np.all(np.abs(apart) <= QUANTUM * DT / 2 + 1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data(), st.integers(2, 6))
+def test_long_pulses_last_and_stay_within_their_bound(fly, data, length):
+    wanted = commands(data.draw, data.draw(st.sampled_from([1, 7, 40])))
+    wrench, level, _ = fly(wanted, minimum_on_time=length * DT)
+    pulse = QUANTUM * length * DT
+    apart = np.cumsum(wanted - wrench, axis=0) * DT
+    assert np.all(np.abs(apart) <= pulse / 2 + 2 * LIMIT * (length - 1) * DT + 1e-6)
+    for axis in range(6):
+        edges = np.flatnonzero(np.diff(level[:, axis], prepend=0.0, append=np.nan))
+        for begin, end in itertools.pairwise(edges):
+            if level[begin, axis] != 0 and end < STEPS:
+                assert end - begin >= length
+    started = np.diff(level, axis=0, prepend=0.0) != 0
+    assert np.all(level[started] * wanted[started] >= 0)  # a pulse never begins against its command
+
+
+@pytest.mark.parametrize("length", [1, 5])
+@pytest.mark.parametrize("share", [0.01, 0.13, 0.5, 0.77, 1.0])
+def test_a_held_command_is_met_on_average_by_whole_quanta(fly, share, length):
+    wrench, level, _ = fly(np.tile(share * LIMIT, (STEPS, 1)), minimum_on_time=length * DT)
+    np.testing.assert_array_equal(level, np.round(level))
+    assert np.all(np.abs(level) <= 4)
+    ends = np.arange(length, STEPS + 1, length) - 1
+    delivered, wanted = np.cumsum(wrench, axis=0)[ends] * DT, share * LIMIT * (ends[:, None] + 1) * DT
+    assert np.all(np.abs(delivered - wanted) <= QUANTUM * (length * DT) * (0.5 + share * 4 * (length > 1)) + 1e-6)
+    assert np.abs(delivered[-1] / wanted[-1] - 1).max() < (0.1 if share > 0.1 else 1.0)
+
+
+def test_no_command_no_thrust_and_no_thrust_against_a_command_that_falls_away(fly):
+    assert not fly(np.zeros((STEPS, 6)))[0].any()
+    spike = np.zeros((STEPS, 6))
+    spike[3] = LIMIT  # one step of a five-step pulse
+    wrench, *_ = fly(spike, minimum_on_time=5 * DT)
+    np.testing.assert_array_equal(wrench[3:8], np.tile(LIMIT, (5, 1)))
+    assert not wrench[8:].any()
+
+
+def test_a_command_beyond_whole_quanta_does_not_wind_up(fly):
+    wrench, _, owed = fly(np.tile(1.4 * LIMIT, (STEPS, 1)))
+    np.testing.assert_array_equal(wrench, np.tile(LIMIT, (STEPS, 1)))
+    assert np.abs(owed).max() < 1e-6
+
+
+@pytest.mark.parametrize("on_off", [False, True])
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_commands_arrive_late_by_whole_steps_and_scaled(fly, delay, on_off):
+    wanted = np.random.default_rng(0).integers(-4, 5, (20, 6)) * QUANTUM
+    scale = np.array([0.9, 1.1, 1.0, 0.5, 2.0, 1.0])
+    wrench, *_ = fly(wanted, scale=scale, delay=delay, on_off=on_off)
+    late = np.concatenate([np.zeros((delay, 6)), wanted])[:20]
+    np.testing.assert_allclose(wrench, late * scale, rtol=1e-12)
+
+
+def test_proportional_thrusters_without_delay_keep_no_state():
+    assert sum(leaf.size for leaf in jax.tree.leaves(actuators_at_rest(0, False, jnp.float32))) == 0
+
+
+@pytest.mark.parametrize("thrusters", ["proportional", "on_off"])
+def test_an_environment_flies_with_them_and_its_gradient_is_finite(x64, docking, thrusters):
+    env, params, reset, step = docking(fidelity="iss", chaser={"thrusters": thrusters, "actuation_delay": 1})
+    start, _ = reset(params, key=jax.random.key(0))
+    state = start
+    push = jnp.asarray([620.0, 0, 0, 0, 0, -130.0])
+    for _ in range(41):
+        state, _ = step(params, state, push)
+    spent = np.linalg.norm(state.view[3:6] - start.view[3:6])
+    assert float(spent) == pytest.approx(620 * 40 * DT / 12_000, abs=200 * DT / 12_000 + 1e-3)
+    slope = jax.jit(jax.grad(lambda a: jnp.sum(env.step(params, state, a)[0].view[3:6] ** 2)))(push)
+    assert np.isfinite(slope).all()
+
+
+@pytest.mark.parametrize(
+    ("chaser", "message"),
+    [
+        ({"thrusters": "onoff"}, "one of|'proportional' or 'on_off'"),
+        ({"thrusters": "on_off", "thruster_force": 2000.0}, "thruster_force .* at most force_limit"),
+        ({"minimum_on_time": -1.0}, "chaser.minimum_on_time: .* got -1.0 s"),
+    ],
+)
+def test_mistakes_are_named(chaser, message):
+    with pytest.raises(ValueError, match=message):
+        load_config(chaser=chaser)
