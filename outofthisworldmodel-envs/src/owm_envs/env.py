@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from astrojax.attitude import quat_from_rotation_vector, quat_rotate
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, load_config
-from owm_envs.dynamics import DYNAMICS, PhysicalState
+from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics
 from owm_envs.params import Params, params_from_config
 from owm_envs.task.collision import swept_clearance
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked
@@ -18,6 +18,9 @@ from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.reset import named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.sensors import goal_error, measure
+
+_BEYOND_REASON = 1e9
+"""No number of a relative view comes near it (SI units), and float32 still squares it."""
 
 
 class EnvState(NamedTuple):
@@ -60,15 +63,26 @@ class DockingEnv:
 
     Args:
         config: as `load_config` takes it.
+        dynamics: equations of motion of your own in place of the fidelity's, a hashable `Dynamics` (a frozen
+            dataclass is); check them with `owm_envs.testing.check_env`.
         overrides: fields of `DockingConfig`.
 
     Raises:
         ValueError: an unknown or out-of-bounds field, naming it.
+        TypeError: `dynamics` is not a hashable `Dynamics`, naming what it lacks.
     """
 
-    def __init__(self, config: DockingConfig | Mapping[str, Any] | str | None = None, **overrides: Any):
+    def __init__(
+        self,
+        config: DockingConfig | Mapping[str, Any] | str | None = None,
+        *,
+        dynamics: Dynamics | None = None,
+        **overrides: Any,
+    ):
         self.config = load_config(config, **overrides)
-        self.dynamics = DYNAMICS[self.config.fidelity](self.config)
+        if dynamics is not None:
+            require_dynamics(dynamics)
+        self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -116,7 +130,8 @@ class DockingEnv:
     def step(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, StepResult]:
         """Hold an action for one decision; an episode that has ended stays as it is, with reward zero.
 
-        An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`.
+        An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`; dynamics that
+        come to no usable number end it as `Outcome.DIVERGED`, in the last state that was one.
         """
         dtype = state.view.dtype
         was_running = state.outcome == Outcome.RUNNING
@@ -129,8 +144,11 @@ class DockingEnv:
             now, touched = carry
             after, touches = self._advance(params, now, wrench)
             running = now.outcome == Outcome.RUNNING
-            kept = jax.tree.map(lambda new, old: jnp.where(running, new, old), after, now)
-            return (kept, touched | (touches & running)), None
+            sound = jnp.all(jnp.abs(after.view) < _BEYOND_REASON)  # false of NaN
+            moves = running & sound
+            kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), after, now)
+            outcome = jnp.where(running & ~sound, Outcome.DIVERGED, kept.outcome).astype(jnp.int32)
+            return (kept._replace(outcome=outcome), touched | (touches & moves)), None
 
         carry = (started, jnp.zeros((), bool))
         if self.config.steps_per_action == 1:
@@ -155,7 +173,7 @@ class DockingEnv:
         observed, observation = self._observe(params, ended)
         outcome = ended.outcome
         terminated = (outcome == Outcome.DOCKED) | (outcome == Outcome.COLLIDED) | (outcome == Outcome.ESCAPED)
-        truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION)
+        truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION) | (outcome == Outcome.DIVERGED)
         return observed, StepResult(observation, jnp.where(was_running, earned, 0).astype(dtype), terminated, truncated)
 
     def info(self, params: Params, state: EnvState) -> dict[str, Array]:

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from owm_envs.config import DockingConfig
+from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv, EnvState, StepResult
 from owm_envs.params import Params
 from owm_envs.task.events import Outcome
@@ -32,8 +33,8 @@ class BatchProgram:
     `traces` counts compilations by program, for tests and reports.
     """
 
-    def __init__(self, config: DockingConfig, autoreset: AutoresetMode):
-        self.env = DockingEnv(config)
+    def __init__(self, config: DockingConfig, autoreset: AutoresetMode, dynamics: Dynamics | None = None):
+        self.env = DockingEnv(config, dynamics=dynamics)
         self.autoreset = autoreset
         self.traces = {"reset": 0, "reset_where": 0, "step": 0}
         with jax.enable_x64(True):
@@ -114,9 +115,9 @@ class BatchProgram:
 
 
 @lru_cache(maxsize=32)
-def batch_program(config: DockingConfig, autoreset: AutoresetMode) -> BatchProgram:
+def batch_program(config: DockingConfig, autoreset: AutoresetMode, dynamics: Dynamics | None = None) -> BatchProgram:
     """The program of a configuration, shared by all environments that have it."""
-    return BatchProgram(config, autoreset)
+    return BatchProgram(config, autoreset, dynamics)
 
 
 def select(mask, new, old):

@@ -1,0 +1,116 @@
+"""No NaN or infinity ever leaves the environment, whatever it is told to fly and from wherever."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import owm_envs  # noqa: F401 - registers the ids
+from owm_envs.config import FIDELITIES
+from owm_envs.env import DockingEnv
+from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
+from owm_envs.task.events import Outcome
+
+TINY = np.finfo(np.float64).smallest_subnormal
+EXTREMES = [0.0, -0.0, TINY, -TINY, 1e-300, 1600.0, -1600.0, 2000.0, 3e38, -4e38, 1e300, -1e300, 1.7976931348623157e308]
+UNUSABLE = [np.nan, np.inf, -np.inf]
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+
+
+def vector(elements, size=3):
+    return st.tuples(*[elements] * size)
+
+
+def toward(longest):
+    """A vector of length up to `longest` in any direction."""
+    units = vector(st.floats(-1, 1)).filter(lambda v: np.linalg.norm(v) > 1e-3)
+    return st.builds(lambda v, size: tuple(np.multiply(v, size / np.linalg.norm(v))), units, st.floats(0, longest))
+
+
+CORNERS = hull_boxes()[:, [0, 0, 0, 0, 1, 1, 1, 1], :].copy()
+for axis, ends in enumerate(([0, 0, 0, 0, 1, 1, 1, 1], [0, 0, 1, 1, 0, 0, 1, 1], [0, 1, 0, 1, 0, 1, 0, 1])):
+    CORNERS[:, :, axis] = hull_boxes()[:, ends, axis]
+corner = st.sampled_from([tuple(c) for c in CORNERS.reshape(-1, 3)])
+positions = st.one_of(
+    corner,
+    st.builds(lambda c, off: tuple(np.add(c, off)), corner, toward(2.5)),  # at the hull, and just off it
+    st.sampled_from([tuple(box.mean(0)) for box in hull_boxes()]),  # inside it
+    st.sampled_from([tuple(goal[:3]) for goal in goal_poses()]),
+    st.just((0.0, 0.0, 0.0)),
+    st.sampled_from([(749.99, 0.0, 0.0), (0.0, 0.0, -749.99), (433.0, -433.0, 433.0)]),  # about to escape
+    toward(750.0),
+)
+velocities = st.one_of(st.just((0.0, 0.0, 0.0)), toward(1.0), toward(1000.0), toward(1e30))
+rates = st.one_of(st.just((0.0, 0.0, 0.0)), toward(0.01), toward(50.0), toward(1e30))
+attitudes = st.one_of(
+    st.sampled_from([IDENTITY, (0.0, 1.0, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0), *(tuple(g[3:]) for g in goal_poses())]),
+    vector(st.floats(-1, 1), 4).map(lambda q: tuple(np.divide(q, max(np.linalg.norm(q), 0.1)))).filter(any),
+)
+components = st.one_of(st.sampled_from(EXTREMES), st.floats(-2000, 2000), st.floats(allow_nan=False))
+wild = st.one_of(components, st.sampled_from(UNUSABLE))
+actions = st.one_of(vector(components, 6), vector(wild, 6))
+
+
+@pytest.fixture(scope="session")
+def fly():
+    """Three steps from a view, compiled once a fidelity: the results and infos of each, stacked."""
+    compiled = {}
+
+    def build(fidelity):
+        env = DockingEnv(fidelity=fidelity, noise="noncooperative", collision_terminates=False, reward="rl")
+        params = env.default_params()
+
+        def run(port, view, action):
+            state, _ = env.reset(params, key=jax.random.key(0), port=port)
+            view = view.at[6:10].divide(jnp.linalg.norm(view[6:10]))
+            state = state._replace(physics=env.dynamics.init(params, state.physics.epoch, view), view=view)
+
+            def step(state, _):
+                state, result = env.step(params, state, action)
+                return state, (result, env.info(params, state))
+
+            return jax.lax.scan(step, state, length=3)[1]
+
+        return jax.jit(run)
+
+    def flown(fidelity, port, view, action):
+        with jax.enable_x64(True):
+            if fidelity not in compiled:
+                compiled[fidelity] = build(fidelity)
+            return jax.device_get(compiled[fidelity](port, np.asarray(view, float), np.asarray(action, float)))
+
+    return flown
+
+
+def assert_finite(tree, where=""):
+    for path, leaf in jax.tree.leaves_with_path(tree):
+        assert np.isfinite(leaf).all(), f"{where}{jax.tree_util.keystr(path)} is not finite: {leaf}"
+
+
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(range(len(PORT_NAMES))), positions, velocities, attitudes, rates, actions)
+@example(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), IDENTITY, (1e30, -1e30, 1e30), (0.0,) * 6)
+@example(3, (749.99, 0.0, 0.0), (1e30, 0.0, 0.0), IDENTITY, (0.0, 0.0, 0.0), (1e300,) * 6)
+@example(3, tuple(goal_poses()[3, :3]), (0.0, 0.0, 0.0), tuple(goal_poses()[3, 3:]), (0.0, 0.0, 0.0), (np.nan,) * 6)
+def test_nothing_but_numbers_comes_out(fly, fidelity, port, position, velocity, attitude, rate, action):
+    result, info = fly(fidelity, port, (*position, *velocity, *attitude, *rate), action)
+    assert_finite((result, info))
+    np.testing.assert_allclose(np.linalg.norm(info["true_state"][:, 6:10], axis=1), 1, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(info["measured_state"][:, 6:10], axis=1), 1, atol=1e-9)
+    outcomes = [Outcome(int(o)) for o in info["outcome"]]
+    if not np.isfinite(action).all():
+        assert outcomes == [Outcome.INVALID_ACTION] * 3
+        assert result.truncated.all() and not result.terminated.any()
+    assert (result.terminated | result.truncated).tolist() == [o != Outcome.RUNNING for o in outcomes]
+
+
+def test_a_spin_beyond_the_integrator_is_a_status(fly, fidelity):
+    tumbling = (50.0, 60.0, 70.0, *(0.0,) * 3, *IDENTITY, 1e30, -1e30, 1e30)
+    result, info = fly(fidelity, 0, tumbling, (0.0,) * 6)
+    assert info["outcome"].tolist() == [Outcome.DIVERGED] * 3
+    assert result.truncated.all() and not result.terminated.any()
+    np.testing.assert_array_equal(info["true_state"][0, :3], tumbling[:3])
+    assert result.reward[1:].tolist() == [0, 0]
