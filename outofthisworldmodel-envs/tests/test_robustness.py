@@ -1,5 +1,6 @@
 """No NaN or infinity ever leaves the environment, whatever it is told to fly and from wherever."""
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,10 +9,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import owm_envs  # noqa: F401 - registers the ids
+from owm_envs.adapters.gymnasium import DockingGymEnv
 from owm_envs.config import FIDELITIES
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
+from owm_envs.task.sensors import measure
 
 TINY = np.finfo(np.float64).smallest_subnormal
 EXTREMES = [0.0, -0.0, TINY, -TINY, 1e-300, 1600.0, -1600.0, 2000.0, 3e38, -4e38, 1e300, -1e300, 1.7976931348623157e308]
@@ -48,7 +51,9 @@ attitudes = st.one_of(
     st.sampled_from([IDENTITY, (0.0, 1.0, 0.0, 0.0), (-1.0, 0.0, 0.0, 0.0), *(tuple(g[3:]) for g in goal_poses())]),
     vector(st.floats(-1, 1), 4).map(lambda q: tuple(np.divide(q, max(np.linalg.norm(q), 0.1)))).filter(any),
 )
-components = st.one_of(st.sampled_from(EXTREMES), st.floats(-2000, 2000), st.floats(allow_nan=False))
+components = st.one_of(
+    st.sampled_from(EXTREMES), st.floats(-2000, 2000), st.floats(allow_nan=False, allow_infinity=False)
+)
 wild = st.one_of(components, st.sampled_from(UNUSABLE))
 actions = st.one_of(vector(components, 6), vector(wild, 6))
 
@@ -107,6 +112,56 @@ def test_nothing_but_numbers_comes_out(fly, fidelity, port, position, velocity, 
     assert (result.terminated | result.truncated).tolist() == [o != Outcome.RUNNING for o in outcomes]
 
 
+@pytest.mark.parametrize("fidelity", FIDELITIES)
+@settings(max_examples=50, deadline=None)
+@given(vector(components, 6))
+def test_an_action_outside_the_box_is_clipped(fly, fidelity, action):
+    view = (30.0, 60.0, 80.0, *(0.0,) * 3, *IDENTITY, *(0.0,) * 3)
+    limit = np.array([1600.0] * 3 + [2000.0] * 3)
+    jax.tree.map(
+        np.testing.assert_array_equal,
+        fly(fidelity, 0, view, action),
+        fly(fidelity, 0, view, np.clip(action, -limit, limit)),
+    )
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+def test_the_adapters_clip_what_float32_cannot_hold(normalize):
+    limit = np.ones(6) if normalize else np.array([1600.0] * 3 + [2000.0] * 3)
+    views = []
+    for action in (limit, limit * 1e300):
+        env = DockingGymEnv(fidelity="iss", precision="float32", normalize=normalize)
+        env.reset(seed=0)
+        views.append(env.step(-action)[4]["true_state"])
+    np.testing.assert_array_equal(*views)
+
+
+def test_a_refused_action_leaves_the_flight_as_it_was():
+    env, twin = (gymnasium.make("ISSHCW-v0", noise="cooperative", horizon=0.2) for _ in range(2))
+    for each in (env, twin):
+        each.reset(seed=0)
+    for value in UNUSABLE:
+        with pytest.raises(ValueError, match="action must be finite"):
+            env.step(np.full(6, value))
+    np.testing.assert_array_equal(env.step(np.zeros(6))[0], twin.step(np.zeros(6))[0])
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_a_batch_reports_the_slots_it_was_told_nonsense_and_goes_on(mode):
+    env = gymnasium.make_vec("ISSHCW-v0", num_envs=2, autoreset_mode=mode, noise="cooperative", horizon=0.2)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match=r"the actions of slots \[1\] are not finite: their episodes end"):
+        observation, reward, _, truncated, info = env.step([[1e300] * 6, [np.inf] * 6])
+    end = info["final_info"] if mode == "same_step" else info
+    assert end["outcome"][1] == "invalid_action" and truncated.tolist() == [False, True]
+    assert_finite((observation, reward, {name: v for name, v in end.items() if v.dtype.kind == "f"}))
+    if mode == "disabled":
+        env.reset(options={"reset_mask": truncated})
+    for _ in range(2):
+        _, _, _, truncated, info = env.step(np.zeros((2, 6)))
+    assert info["outcome"].tolist() == ["running"] * 2 and not truncated.any()
+
+
 def test_a_spin_beyond_the_integrator_is_a_status(fly, fidelity):
     tumbling = (50.0, 60.0, 70.0, *(0.0,) * 3, *IDENTITY, 1e30, -1e30, 1e30)
     result, info = fly(fidelity, 0, tumbling, (0.0,) * 6)
@@ -114,3 +169,10 @@ def test_a_spin_beyond_the_integrator_is_a_status(fly, fidelity):
     assert result.truncated.all() and not result.terminated.any()
     np.testing.assert_array_equal(info["true_state"][0, :3], tumbling[:3])
     assert result.reward[1:].tolist() == [0, 0]
+
+
+def test_a_measurement_in_the_origin_has_a_gradient(x64):
+    noise = DockingEnv(fidelity="iss", noise="noncooperative").default_params().noise
+    view = jnp.asarray([0.0] * 6 + [1.0] + [0.0] * 6)
+    slope = jax.grad(lambda view: jnp.sum(measure(noise, view, key=jax.random.key(0))))(view)
+    assert np.isfinite(slope).all()

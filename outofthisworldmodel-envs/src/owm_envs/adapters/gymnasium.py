@@ -76,7 +76,12 @@ class _Shell:
         return options or {}
 
     def _actions(self, action, shape: tuple[int, ...]) -> np.ndarray:
-        action = np.asarray(action, self.config.precision)
+        action, precision = np.asarray(action), np.dtype(self.config.precision)
+        if action.dtype.itemsize > precision.itemsize:
+            # Too large for the precision is still a number, to be clipped.
+            largest = np.finfo(precision).max
+            action = np.where(np.isfinite(action), np.clip(action, -largest, largest), action)
+        action = action.astype(precision, copy=False)
         if action.shape != shape:
             raise ValueError(f"action must have shape {shape}, got {action.shape}")
         if self._state is None:

@@ -11,6 +11,7 @@ from astrojax.attitude import (
     quat_to_rotation_vector,
 )
 from owm_envs.params import NoiseParams
+from owm_envs.task.events import safe_norm
 
 
 def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]) -> Float[Array, "13"]:
@@ -21,7 +22,7 @@ def measure(noise: NoiseParams, view: Float[Array, "13"], *, key: Key[Array, ""]
     position, velocity, attitude, rate = view[:3], view[3:6], view[6:10], view[10:]
     total = jnp.stack(
         [
-            noise.position + noise.position_per_range * jnp.linalg.norm(position),
+            noise.position + noise.position_per_range * safe_norm(position),
             noise.velocity,
             noise.attitude,
             noise.rate,
