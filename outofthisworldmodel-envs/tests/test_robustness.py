@@ -1,5 +1,9 @@
 """No NaN or infinity ever leaves the environment, whatever it is told to fly and from wherever."""
 
+import importlib.util
+import json
+from pathlib import Path
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -176,3 +180,30 @@ def test_a_measurement_in_the_origin_has_a_gradient(x64):
     view = jnp.asarray([0.0] * 6 + [1.0] + [0.0] * 6)
     slope = jax.grad(lambda view: jnp.sum(measure(noise, view, key=jax.random.key(0))))(view)
     assert np.isfinite(slope).all()
+
+
+@pytest.fixture(scope="module")
+def soak():
+    """The benchmark's own code."""
+    file = Path(__file__).parents[1] / "benchmarks" / "soak.py"
+    spec = importlib.util.spec_from_file_location("soak", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_short_soak_is_clean(soak, tmp_path):
+    report = tmp_path / "soak.json"
+    size = ["--fidelities", "iss-hcw", "--batch", "256", "--steps", "60000"]
+    assert soak.main([*size, "--json", str(report)]) == 0
+    (row,) = json.loads(report.read_text(encoding="utf-8"))
+    assert row["steps"] >= 60_000 and row["violations"] == []
+    for outcome in ("docked", "collided", "escaped", "invalid_action"):
+        assert row["outcomes"][outcome] > 0, outcome
+
+
+def test_a_soak_tells_what_it_found(soak, x64):
+    clean = soak.zero()
+    assert soak.violations(clean) == []
+    found = clean._replace(not_finite=clean.steps + 3, late=clean.steps + 1, quaternion=jnp.asarray(1e-3))
+    assert soak.violations(found) == ["3 not finite", "1 beyond the horizon", "a quaternion off by 1.0e-03"]
