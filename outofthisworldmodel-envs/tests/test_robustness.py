@@ -129,12 +129,11 @@ def test_an_action_outside_the_box_is_clipped(fly, fidelity, action):
     )
 
 
-@pytest.mark.parametrize("normalize", [False, True])
-def test_the_adapters_clip_what_float32_cannot_hold(normalize):
-    limit = np.ones(6) if normalize else np.array([1600.0] * 3 + [2000.0] * 3)
+def test_the_adapters_clip_what_float32_cannot_hold():
+    limit = np.ones(6)
     views = []
     for action in (limit, limit * 1e300):
-        env = DockingGymEnv(fidelity="iss", precision="float32", normalize=normalize)
+        env = DockingGymEnv(fidelity="iss", precision="float32", normalize=True)
         env.reset(seed=0)
         views.append(env.step(-action)[4]["true_state"])
     np.testing.assert_array_equal(*views)

@@ -44,7 +44,7 @@ def make_vec_env(
         normalize: actions in [-1, 1] and scaled observations, what `stable_baselines3` expects.
         infos: "ended" fills an info only when its episode ends, "all" every step (slower for large batches).
         render_mode: None or "rgb_array".
-        overrides: fields of `DockingConfig`.
+        overrides: fields of `DockingConfig`, and `dynamics`.
 
     Raises:
         ValueError: an unknown id, field, preset or port (naming the nearest), or a value out of bounds.
