@@ -248,3 +248,12 @@ def test_specs_make_the_same_environment_again():
     twin = gymnasium.make_vec(EnvSpec.from_json(batch.spec.to_json()))
     assert (twin.num_envs, twin.metadata["autoreset_mode"]) == (2, AutoresetMode.SAME_STEP)
     np.testing.assert_array_equal(twin.reset(seed=0)[0], batch.reset(seed=0)[0])
+
+
+def test_frames_are_collected_where_gymnasium_offers_it():
+    env = scalar(render_mode="rgb_array_list")
+    env.reset(seed=0)
+    for action in ACTIONS[:2, 0]:
+        env.step(action)
+    frames = env.render()
+    assert len(frames) == 3 and (frames[0] != frames[2]).any()

@@ -264,36 +264,47 @@ def _check_attitude(trial: _Trial, case: _Case, views: np.ndarray) -> None:
     _expect(unit, "unit quaternion", f"an attitude of length 1 {case.name}", f"{worst:.9f}")
 
 
+class _Motion(NamedTuple):
+    """What a step did to position and attitude beside what velocity and rate say of it."""
+
+    moved: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+    rate: Float[Array, "3"]
+    off: float
+    """m/s between `moved` and `velocity`."""
+    turned_off: float
+    """rad/s between the turn and `rate`."""
+
+
 def _check_kinematics(trial: _Trial) -> None:
     """Over a shorter step the mean of a derivative's ends is nearer to the truth, whatever the integrator's order."""
     for case in trial.cases:
-        (moved, moving, off_long), (turn_long, *_) = _rates(trial, case, trial.params.dt)
-        (*_, off), (turn, turning, seconds) = _rates(trial, case, trial.params.dt / 4)
-        rounding = trial.tolerance / seconds
+        dt = float(trial.params.dt)
+        long, short = _motion(trial, case, dt), _motion(trial, case, dt / 4)
+        rounding = trial.tolerance / (dt / 4)
         _expect(
-            off <= max(off_long / 2, rounding),
+            short.off <= max(long.off / 2, rounding),
             "velocity is the derivative of position",
-            f"a position that moves at {moving} m/s {case.name}",
-            f"{moved} m/s",
+            f"a position that moves at {short.velocity} m/s {case.name}",
+            f"{short.moved} m/s",
         )
         _expect(
-            turn <= max(turn_long / 2, rounding),
+            short.turned_off <= max(long.turned_off / 2, rounding),
             "rate is the derivative of attitude",
-            f"an attitude that turns at {turning} rad/s (body axes) {case.name}",
-            f"one that turns {turn:.3g} rad/s otherwise",
+            f"an attitude that turns at {short.rate} rad/s (body axes) {case.name}",
+            f"one {short.turned_off:.3g} rad/s beside it",
         )
 
 
-def _rates(trial: _Trial, case: _Case, dt: Float[Array, ""]) -> tuple[tuple, tuple]:
-    """Over one step: m/s moved, m/s claimed, their distance; rad/s turned beside the claim, rad/s claimed, the step."""
-    start = trial.init(trial.params, trial.epoch, case.view)
-    after = trial.view(trial.params, trial.step(trial.params, start, case.wrench, dt))
-    before = trial.view(trial.params, start)
-    moved, moving = (after[:3] - before[:3]) / dt, (before[3:6] + after[3:6]) / 2
-    turning = (before[10:] + after[10:]) / 2
-    turned = quat_multiply(before[6:10], quat_from_rotation_vector(turning * dt))
+def _motion(trial: _Trial, case: _Case, dt: float) -> _Motion:
+    state = trial.init(trial.params, trial.epoch, case.view)
+    before = trial.view(trial.params, state)
+    after = trial.view(trial.params, trial.step(trial.params, state, case.wrench, jnp.asarray(dt, before.dtype)))
+    moved, velocity = (after[:3] - before[:3]) / dt, (before[3:6] + after[3:6]) / 2
+    rate = (before[10:] + after[10:]) / 2
+    turned = quat_multiply(before[6:10], quat_from_rotation_vector(rate * dt))
     apart = quat_angle(turned, after[6:10]) / dt
-    return (moved, moving, float(jnp.linalg.norm(moved - moving))), (float(apart), turning, float(dt))
+    return _Motion(moved, velocity, rate, float(jnp.linalg.norm(moved - velocity)), float(apart))
 
 
 def _check_gradients(trial: _Trial) -> None:
