@@ -62,4 +62,4 @@ def test_stable_baselines_records_too(tmp_path):
         venv.step(np.zeros((2, 6), np.float32))
     venv.close()
     (file,) = tmp_path.glob("*.mp4")
-    assert len(read(file)[1]) == 3
+    assert len(read(file)[1]) == 4  # the start and three steps
