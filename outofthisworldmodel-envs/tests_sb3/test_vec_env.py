@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecEnv, VecMonitor, VecNormalize
 
 from owm_envs.adapters.gymnasium import DockingGymEnv, DockingVectorEnv
 from owm_envs.config import load_config
@@ -44,6 +44,7 @@ def test_steps_equal_their_own_vec_env_over_scalar_environments(fidelity):
     theirs = DummyVecEnv([lambda: DockingGymEnv(fidelity=fidelity, **NATIVE)] * SLOTS)
     theirs.seed(5)
     assert isinstance(ours, VecEnv)
+    assert (ours.action_space.low.tolist(), ours.action_space.high.tolist()) == ([-1.0] * 6, [1.0] * 6)
     assert ours.action_space == theirs.action_space and ours.observation_space == theirs.observation_space
     np.testing.assert_allclose(ours.reset(), theirs.reset(), rtol=1e-6, atol=1e-6)
     for action in actions(9):
@@ -153,6 +154,14 @@ def test_a_step_without_actions_is_an_error(venv):
     venv.reset()
     with pytest.raises(RuntimeError, match="step_async"):
         venv.step_wait()
+
+
+def test_actions_that_are_not_numbers_raise_where_asked(venv):
+    checked = VecCheckNan(venv, raise_exception=True)
+    checked.reset()
+    checked.step(np.ones((SLOTS, 6), np.float32))
+    with pytest.raises(ValueError, match="nan"):
+        checked.step(np.full((SLOTS, 6), np.nan, np.float32))
 
 
 def test_pictures_are_tiled():

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
-from owm_envs.dynamics import DYNAMICS, PhysicalState
+from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics
 from owm_envs.params import Params, params_from_config
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import swept_clearance
@@ -19,6 +19,14 @@ from owm_envs.task.randomization import Drawn, draw, episode_params
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.sensors import advance_bias, goal_error, measure, start_bias
+
+_BEYOND_REASON = 1e9
+"""No number of a relative view comes near it (SI units), and float32 still squares it."""
+
+
+def is_sound(view: Float[Array, "13"]) -> Bool[Array, ""]:
+    """Whether dynamics have come to a usable relative view."""
+    return jnp.all(jnp.abs(view) < _BEYOND_REASON)  # false of NaN
 
 
 class EnvState(NamedTuple):
@@ -65,22 +73,33 @@ class DockingEnv:
     state.next_key)` starts the next one reproducibly. `place`, `begin`, `advance`, `finish` and `observe` are the
     pieces they are made of, for environments that put something in between.
 
-    Environments of equal `structure` are equal and run the same compiled programs; what else they are configured to
+    Environments of equal `structure` and `dynamics` are equal and run the same compiled programs; what else they are configured to
     is in their `params` alone. So pass `params` into a compiled function that takes the environment as a static
     argument, rather than ask for `default_params()` inside it.
 
     Args:
         config: as `load_config` takes it.
+        dynamics: equations of motion of your own in place of the fidelity's, a hashable `Dynamics` (a frozen
+            dataclass is); check them with `owm_envs.testing.check_env`.
         overrides: fields of `DockingConfig`.
 
     Raises:
         ValueError: an unknown or out-of-bounds field, naming it.
+        TypeError: `dynamics` is not a hashable `Dynamics`, naming what it lacks.
     """
 
-    def __init__(self, config: DockingConfig | Mapping[str, Any] | str | None = None, **overrides: Any):
+    def __init__(
+        self,
+        config: DockingConfig | Mapping[str, Any] | str | None = None,
+        *,
+        dynamics: Dynamics | None = None,
+        **overrides: Any,
+    ):
         self.config = load_config(config, **overrides)
         self.structure: Structure = self.config.structure
-        self.dynamics = DYNAMICS[self.config.fidelity](self.config)
+        if dynamics is not None:
+            require_dynamics(dynamics)
+        self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -91,10 +110,10 @@ class DockingEnv:
         )
 
     def __eq__(self, other: object) -> bool:
-        return type(other) is type(self) and other.structure == self.structure
+        return type(other) is type(self) and (other.structure, other.dynamics) == (self.structure, self.dynamics)
 
     def __hash__(self) -> int:
-        return hash(self.structure)
+        return hash((self.structure, self.dynamics))
 
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
@@ -156,7 +175,8 @@ class DockingEnv:
     def step(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, StepResult]:
         """Hold an action for one decision; an episode that has ended stays as it is, with reward zero.
 
-        An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`.
+        An action that is not finite moves nothing and ends the episode as `Outcome.INVALID_ACTION`; dynamics that
+        come to no usable number end it as `Outcome.DIVERGED`, in the last state that was one.
         """
         started, wrench = self.begin(params, state, action)
 
@@ -164,8 +184,11 @@ class DockingEnv:
             now, touched = carry
             after, touches = self.advance(params, now, wrench)
             running = now.outcome == Outcome.RUNNING
-            kept = jax.tree.map(lambda new, old: jnp.where(running, new, old), after, now)
-            return (kept, touched | (touches & running)), None
+            sound = is_sound(after.view)
+            moves = running & sound
+            kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), after, now)
+            outcome = jnp.where(running & ~sound, Outcome.DIVERGED, kept.outcome).astype(jnp.int32)
+            return (kept._replace(outcome=outcome), touched | (touches & moves)), None
 
         carry = (started, jnp.zeros((), bool))
         if self.structure.steps_per_action == 1:
@@ -218,7 +241,7 @@ class DockingEnv:
         observed, observation = self.observe(params, ended)
         outcome = ended.outcome
         terminated = (outcome == Outcome.DOCKED) | (outcome == Outcome.COLLIDED) | (outcome == Outcome.ESCAPED)
-        truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION)
+        truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION) | (outcome == Outcome.DIVERGED)
         earned = jnp.where(was_running, earned, 0).astype(state.view.dtype)
         return observed, StepResult(observation, earned, terminated, truncated)
 

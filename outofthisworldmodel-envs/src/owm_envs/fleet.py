@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from owm_envs.config import DockingConfig
 from owm_envs.dynamics import PhysicalState
-from owm_envs.env import DockingEnv, EnvState, StepResult
+from owm_envs.env import DockingEnv, EnvState, StepResult, is_sound
 from owm_envs.params import Params
 from owm_envs.task.events import Outcome, safe_norm
 from owm_envs.task.observation import VIEW_SCALE, ObservationLayout
@@ -167,7 +167,8 @@ class FleetEnv:
             now, touched, separation = carry
             running = now.outcome == Outcome.RUNNING
             after, touches = advance(params, now, wrenches)
-            after = _where_running(running, after, now)
+            sound = jax.vmap(is_sound)(after.view)
+            after = _where_running(running & sound, after, now)
             # Two that have both ended are at rest: nothing new can happen between them.
             apart = self._separations(params, now.view, after.view)
             nearest = jnp.min(jnp.where(running[:, None] | running, apart, jnp.inf), axis=1)
@@ -175,9 +176,11 @@ class FleetEnv:
             ends = hit & running & self.config.collision_terminates
             after = after._replace(
                 collided=after.collided | hit,
-                outcome=jnp.where(ends, Outcome.COLLIDED, after.outcome).astype(jnp.int32),
+                outcome=jnp.select(
+                    [running & ~sound, ends], [Outcome.DIVERGED, Outcome.COLLIDED], after.outcome
+                ).astype(jnp.int32),
             )
-            return (after, touched | ((touches | hit) & running), jnp.minimum(separation, nearest)), None
+            return (after, touched | (((touches & sound) | hit) & running), jnp.minimum(separation, nearest)), None
 
         carry = (begun, jnp.zeros(self.num_chasers, bool), state.separation)
         if self.config.steps_per_action == 1:

@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from owm_envs.config import DockingConfig
+from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv, EnvState, StepResult
 from owm_envs.params import Params
 from owm_envs.task.events import Outcome
@@ -32,8 +33,10 @@ class BatchProgram:
     The programs behind it are shared by all batches of equal structure, automatic reset and size.
     """
 
-    def __init__(self, config: DockingConfig, autoreset: AutoresetMode, num_envs: int):
-        self.env = DockingEnv(config)
+    def __init__(
+        self, config: DockingConfig, autoreset: AutoresetMode, num_envs: int, dynamics: Dynamics | None = None
+    ):
+        self.env = DockingEnv(config, dynamics=dynamics)
         self.autoreset = autoreset
         with jax.enable_x64(True):
             self.params: Params = self.env.default_params()

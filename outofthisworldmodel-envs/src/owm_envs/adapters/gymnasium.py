@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 
 from owm_envs.adapters.batch import BatchProgram, state_from_host, state_to_host
 from owm_envs.config import DockingConfig, load_config, unknown
+from owm_envs.dynamics import Dynamics, require_dynamics
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import Outcome
 
@@ -23,12 +24,15 @@ _MAX_SEED = 2**63
 class _Shell:
     """What both adapters share: the configuration, spaces, the opaque state and its pictures."""
 
-    def _build(self, config, overrides, num_envs: int, autoreset: AutoresetMode, render_mode: str | None):
+    def _build(self, config, overrides, num_envs: int, autoreset: AutoresetMode, render_mode: str | None, dynamics):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
         self.config: DockingConfig = load_config(config, **overrides)
         self.render_mode = render_mode
-        self._program = BatchProgram(self.config, autoreset, num_envs)
+        if dynamics is not None:
+            require_dynamics(dynamics)
+        self._dynamics: Dynamics | None = dynamics
+        self._program = BatchProgram(self.config, autoreset, num_envs, dynamics)
         self.docking_env = self._program.env
         self._num_slots = num_envs
         self._state = None
@@ -72,7 +76,12 @@ class _Shell:
         return options or {}
 
     def _actions(self, action, shape: tuple[int, ...]) -> np.ndarray:
-        action = np.asarray(action, self.config.precision)
+        action, precision = np.asarray(action), np.dtype(self.config.precision)
+        if action.dtype.itemsize > precision.itemsize:
+            # Too large for the precision is still a number, to be clipped.
+            largest = np.finfo(precision).max
+            action = np.where(np.isfinite(action), np.clip(action, -largest, largest), action)
+        action = action.astype(precision, copy=False)
         if action.shape != shape:
             raise ValueError(f"action must have shape {shape}, got {action.shape}")
         if self._state is None:
@@ -100,8 +109,9 @@ class _Shell:
         view, port = host.view[slot], int(host.port[slot])
         goal = goal_poses()[port]
         seconds = float(host.physics.elapsed[slot])
+        name = self.config.fidelity if self._dynamics is None else type(self._dynamics).__name__
         lines = [
-            f"{self.config.fidelity}   {PORT_NAMES[port]}",
+            f"{name}   {PORT_NAMES[port]}",
             f"t {seconds:6.1f} s   {_OUTCOMES[int(host.outcome[slot])]}",
             f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
             f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
@@ -118,7 +128,7 @@ class _Shell:
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         kept = dict(kept)
-        self._program = BatchProgram(kept["config"], kept.pop("_autoreset"), kept["_num_slots"])
+        self._program = BatchProgram(kept["config"], kept.pop("_autoreset"), kept["_num_slots"], kept["_dynamics"])
         self.docking_env = self._program.env
         state = kept.pop("_host_state")
         self._state = None if state is None else state_from_host(state)
@@ -132,6 +142,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file (a `str`, if the spec is to
             survive JSON).
         render_mode: None or "rgb_array".
+        dynamics: equations of motion of your own in place of the fidelity's, as `DockingEnv` takes them.
         overrides: fields of `DockingConfig`, and `preset`.
 
     `reset(options={"dock_port": NAME})` assigns the port of that episode. An action outside the box is clipped; one
@@ -140,8 +151,10 @@ class DockingGymEnv(_Shell, gymnasium.Env):
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012 - Gymnasium's interface
 
-    def __init__(self, config=None, render_mode: str | None = None, **overrides: Any):
-        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode)
+    def __init__(
+        self, config=None, render_mode: str | None = None, *, dynamics: Dynamics | None = None, **overrides: Any
+    ):
+        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode, dynamics)
         self.observation_space, self.action_space = spaces_
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
 
@@ -186,7 +199,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
 
     Args:
         num_envs: slots.
-        config, render_mode, overrides: as for `DockingGymEnv`.
+        config, render_mode, dynamics, overrides: as for `DockingGymEnv`.
         autoreset_mode: one of Gymnasium's `AutoresetMode`, or its name (which survives the spec's JSON).
 
     `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool})`. A slot whose
@@ -206,6 +219,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
         config=None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        *,
+        dynamics: Dynamics | None = None,
         **overrides: Any,
     ):
         if num_envs < 1:
@@ -213,7 +228,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = self._build(
-            config, overrides, num_envs, mode, render_mode
+            config, overrides, num_envs, mode, render_mode, dynamics
         )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

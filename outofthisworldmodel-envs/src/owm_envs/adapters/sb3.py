@@ -27,7 +27,7 @@ def make_vec_env(
     n_envs: int = 1,
     seed: int | None = None,
     *,
-    preset: str = "rl",
+    preset: str | None = None,
     normalize: bool = True,
     infos: Literal["ended", "all"] = "ended",
     render_mode: str | None = None,
@@ -40,11 +40,12 @@ def make_vec_env(
             `DockingConfig` fields, or a `DockingConfig`, which is taken as it stands but for `normalize`.
         n_envs: slots, advanced together.
         seed: slot i starts from seed + i at the first `reset()`. An algorithm given a seed of its own replaces it.
-        preset: where to start from; "rl" is the paper's 1 Hz decisions, reward and start shell.
+        preset: where to start from, "rl" when None: the paper's 1 Hz decisions, reward and start shell. A
+            `DockingConfig` takes none.
         normalize: actions in [-1, 1] and scaled observations, what `stable_baselines3` expects.
         infos: "ended" fills an info only when its episode ends, "all" every step (slower for large batches).
         render_mode: None or "rgb_array".
-        overrides: fields of `DockingConfig`.
+        overrides: fields of `DockingConfig`, and `dynamics`.
 
     Raises:
         ValueError: an unknown id, field, preset or port (naming the nearest), or a value out of bounds.
@@ -55,6 +56,8 @@ def make_vec_env(
             id_or_config = {"fidelity": IDS[name]}
         elif not id_or_config.endswith(".toml"):
             raise ValueError(unknown("environment id", id_or_config, IDS) + " A file's name must end in .toml.")
+    if preset is None:
+        preset = "data" if isinstance(id_or_config, DockingConfig) else "rl"
     venv = DockingVecEnv(
         n_envs, id_or_config, infos=infos, render_mode=render_mode, preset=preset, normalize=normalize, **overrides
     )

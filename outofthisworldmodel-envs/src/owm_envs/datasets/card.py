@@ -14,7 +14,7 @@ _MEANING = {
     "goal_pose": "pose to hold at the port: position m, attitude",
     "policy": "who flew: " + ", ".join(f"{i} {name}" for i, name in enumerate(POLICY_NAMES)),
     "epoch": "UTC: whole modified Julian day, seconds of day",
-    "outcome": "what the episode came to: 1 docked, 2 collided, 3 escaped, 4 timeout, 5 invalid action",
+    "outcome": "what the episode came to: 1 docked, 2 collided, 3 escaped, 4 timeout, 5 invalid action, 6 diverged",
 }
 
 

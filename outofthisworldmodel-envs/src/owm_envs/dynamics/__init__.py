@@ -1,6 +1,7 @@
 """Equations of motion: each fidelity is one frozen class of three pure functions behind `Dynamics`.
 
-A new fidelity is one more module and one line in `DYNAMICS`.
+A new fidelity is one more module and one line in `DYNAMICS`; equations of your own need neither: pass them to an
+environment as `dynamics`.
 """
 
 from collections.abc import Callable
@@ -45,4 +46,20 @@ DYNAMICS: dict[str, Callable[[DockingConfig], Dynamics]] = {
     ),
 }
 
-__all__ = ["DYNAMICS", "Dynamics", "PhysicalState", "VehicleState"]
+
+def require_dynamics(candidate: object) -> None:
+    """Raise TypeError, naming what is missing, unless the candidate is a `Dynamics` that can be hashed."""
+    missing = [name for name in ("has_epoch", "init", "step", "relative_state") if not hasattr(candidate, name)]
+    if missing or isinstance(candidate, type):
+        lacks = f"lacks {', '.join(missing)}" if missing else "is a class, not an instance of it"
+        raise TypeError(f"dynamics must be a Dynamics (owm_envs.dynamics), but {candidate!r} {lacks}")
+    try:
+        hash(candidate)
+    except TypeError:
+        raise TypeError(
+            f"dynamics must be hashable, to share compiled programs, but {type(candidate).__name__} is not: "
+            "make it a frozen dataclass without arrays"
+        ) from None
+
+
+__all__ = ["DYNAMICS", "Dynamics", "PhysicalState", "VehicleState", "require_dynamics"]

@@ -18,6 +18,8 @@ class Outcome(IntEnum):
     ESCAPED = 3
     TIMEOUT = 4
     INVALID_ACTION = 5
+    DIVERGED = 6
+    """The equations of motion gave no usable number: the state before is kept."""
 
 
 class Closest(NamedTuple):

@@ -19,7 +19,7 @@ from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 TOLERANCES: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """m; with and without the bounds on speed, attitude and rate they make fourteen definitions of success."""
-OUTCOMES: tuple[str, ...] = ("docked", "escaped", "timeout", "invalid_action")
+OUTCOMES: tuple[str, ...] = ("docked", "escaped", "timeout", "invalid_action", "diverged")
 """What may end a scored flight: evaluation records a collision and flies on."""
 _Z95 = 1.959963984540054
 
