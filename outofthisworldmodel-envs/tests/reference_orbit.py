@@ -12,6 +12,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+brahe.set_global_eop_provider_from_static_provider(brahe.StaticEOPProvider.from_zero())  # else it would download
+
 GM, RADIUS = 3.986004415e14, 6378136.3
 # EGM2008, fully normalised C_20, C_30, C_40.
 ZONALS = {2: -4.84165143790815e-4, 3: 9.57161207093473e-7, 4: 5.39965866638991e-7}
