@@ -49,7 +49,7 @@ QUANTITIES = ("position_m", "velocity_m_s", "attitude_deg")
 STATISTICS = {"median": 50, "p95": 95, "max": 100}
 
 
-@partial(jax.jit, static_argnums=(0, 5))
+@partial(jax.jit, static_argnums=0)
 def drift(dynamics, params, epochs, views, dt, steps):
     """Relative views (B, 13) after `steps` steps of `dt` seconds without thrust."""
 

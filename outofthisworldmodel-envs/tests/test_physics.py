@@ -60,7 +60,7 @@ def fly(x64):
         epoch = params.chief.epoch + jnp.asarray([day, second])
         data = (jnp.asarray(x, jnp.float64) for x in (view, wrenches))
         step = jnp.asarray(seconds / SEGMENTS / steps)
-        return [np.asarray(x) for x in _fly(env.dynamics, params, epoch, *data, jnp.asarray(steps), step)]
+        return [np.array(x) for x in _fly(env.dynamics, params, epoch, *data, jnp.asarray(steps), step)]
 
     return flown
 
@@ -111,13 +111,20 @@ def test_hill_misses_the_chief_s_eccentricity_in_proportion(fly):
 
 
 def test_perturbations_and_eccentricity_part_hill_from_the_orbits_by_decimetres(fly):
-    """The difference is a tide: it grows with the separation, to between 1 cm and 50 cm after 360 s from 225 m."""
-    errors = []
-    for separation in (225.0, 22.5):
+    """What Hill leaves out is a tide, in proportion to the separation, 11 cm after 360 s from 225 m, and the drag that
+    the chaser feels more than the station, millimetres wherever it is."""
+
+    def error(separation, **chaser):
         view = view_of(separation * OBLIQUE)
-        errors.append(distance(fly(view, fidelity="iss-hcw")[1][-1], fly(view, fidelity="iss-numerical")[1][-1]))
-    print(errors)
-    assert 0.01 < errors[0] < 0.5
+        flights = [fly(view, fidelity=fidelity, chaser=chaser)[1] for fidelity in ("iss-hcw", "iss-numerical")]
+        return distance(flights[0][-1], flights[1][-1])
+
+    same_fall = {"drag_area": 12_000.0 * 1500.0 / 419_700.0}
+    assert error(0.0, **same_fall) < 1e-6
+    assert 1e-3 < error(0.0) < 0.015
+    far, near = error(225.0, **same_fall), error(22.5, **same_fall)
+    assert 0.05 < far < 0.2
+    assert far / near == pytest.approx(10.0, rel=0.01)
 
 
 def test_the_free_flyer_is_the_limit_of_hill_without_orbital_terms(fly):
@@ -154,7 +161,7 @@ SCENES = {  # days and seconds into the window, chief's elements, position [m], 
 
 
 @pytest.mark.parametrize("scene", SCENES)
-def test_two_independent_propagations_agree_within_a_millimetre(fly, scene):
+def test_two_independent_propagations_agree_within_a_tenth_of_a_millimetre(fly, scene):
     """Drift, then thrust and torque held for 30 s at a time, over 360 s at the environment's own step."""
     day, second, elements, position, velocity = SCENES[scene]
     rng = np.random.default_rng(7)
@@ -177,9 +184,8 @@ def test_two_independent_propagations_agree_within_a_millimetre(fly, scene):
                     (attitude.inv() * reference.rotation(ours[6:10])).magnitude(),
                     np.linalg.norm(rate - ours[10:]),
                 )
-                assert np.all(np.less(figures, (1e-3, 1e-5, 1e-7, 1e-8))), (propagate.__name__, k, figures)
-            print(scene, propagate.__name__, figures, distance(chiefs[-1], ends[-1][0]), np.linalg.norm(orbit[:3]))
-            assert distance(chiefs[-1], ends[-1][0]) < 0.05
+                assert np.all(np.less(figures, (1e-4, 1e-6, 1e-7, 1e-9))), (propagate.__name__, k, figures)
+            assert distance(chiefs[-1], ends[-1][0]) < 1e-3
         assert np.linalg.norm(views[-1, :3]) < 750
 
 
@@ -193,9 +199,9 @@ def inertial(chiefs, views, degrees):
 
 @pytest.mark.parametrize("forces, degrees", [(POINT_MASS, ()), (ZONAL, (2, 3, 4))], ids=["point mass", "zonal"])
 def test_orbits_keep_energy_and_angular_momentum(fly, forces, degrees):
-    """Over one orbit both vehicles keep their energy to 1e-4 J/kg (0.02 mm of semi-major axis).
+    """Over one orbit both vehicles keep their energy to 1e-5 J/kg (2 um of semi-major axis).
 
-    The point mass keeps the whole angular momentum, the zonal field that about its axis, to 0.1 m2/s (of 5e10).
+    The point mass keeps the whole angular momentum, the zonal field that about its axis, to 0.01 m2/s (of 5e10).
     """
     view = view_of(225 * OBLIQUE, [0.1, -0.1, 0.1])
     chiefs, views = fly(view, seconds=PERIOD, fidelity="iss-numerical", forces=forces)
@@ -205,9 +211,8 @@ def test_orbits_keep_energy_and_angular_momentum(fly, forces, degrees):
         r, v = orbits[:, :3], orbits[:, 3:]
         energy = (v * v).sum(1) / 2 + reference.potential(r, degrees)
         momentum = np.cross(r, v)
-        print(np.ptp(energy), np.ptp(momentum, axis=0))
-        np.testing.assert_allclose(energy, energy[0], rtol=0, atol=1e-4)
-        np.testing.assert_allclose(momentum[:, kept], momentum[:1, kept].repeat(13, 0), rtol=0, atol=0.1)
+        np.testing.assert_allclose(energy, energy[0], rtol=0, atol=1e-5)
+        np.testing.assert_allclose(momentum[:, kept], momentum[:1, kept].repeat(13, 0), rtol=0, atol=0.01)
         if degrees:
             assert np.ptp(momentum[:, 0]) > 1e6  # the bulge does turn the plane
 
@@ -239,9 +244,8 @@ def test_a_librating_body_keeps_its_jacobi_integral(fly, fidelity):
         return ((moments * view[10:] ** 2).sum() + MEAN_MOTION**2 * along) / 2
 
     values = np.array([integral(v) for v in views])
-    print(np.ptp(values), values[0], np.ptp((moments * views[:, 10:] ** 2).sum(1)) / 2)
-    assert np.ptp((moments * views[:, 10:] ** 2).sum(1)) / 2 > 1e-3  # J: the parts do change
-    np.testing.assert_allclose(values, values[0], rtol=0, atol=1e-10)
+    assert np.ptp((moments * views[:, 10:] ** 2).sum(1)) / 2 > 0.1  # J: the parts do change
+    np.testing.assert_allclose(values, values[0], rtol=0, atol=1e-12)
 
 
 def test_hill_keeps_its_invariants_and_closes_the_drift_free_ellipse(fly):
@@ -293,18 +297,18 @@ def test_the_station_frame_turns_with_its_orbit_plane_too(fly):
     still = -reference.rotation(ATTITUDE).inv().apply(rate)
     chiefs, views = fly(view_of(225 * OBLIQUE, rate=still), **at)
     attitudes = [reference.Rotation.from_matrix(axes(c).T) * reference.rotation(v[6:10]) for c, v in zip(chiefs, views)]
-    print(rate, (attitudes[0].inv() * attitudes[-1]).magnitude())
-    assert (attitudes[0].inv() * attitudes[-1]).magnitude() < 1e-6  # rad
+    assert (attitudes[0].inv() * attitudes[-1]).magnitude() < 1e-7  # rad
     seen = -reference.rotation(views[6, 6:10]).apply(views[6, 10:])
-    print(seen - frame_rate(chiefs, 6, 30.0))
-    np.testing.assert_allclose(seen, frame_rate(chiefs, 6, 30.0), rtol=0, atol=3e-9)  # rad/s
+    np.testing.assert_allclose(seen, frame_rate(chiefs, 6, 30.0), rtol=0, atol=1e-9)  # rad/s
 
 
 # --- lighting ---
 
 
 def test_starts_over_the_seven_days_see_day_night_and_terminator(x64):
-    """Shares of 20 000 starts against the share of a circular orbit in a cylinder of shadow, day by day."""
+    """Of 20 000 starts 62 % are in full sunlight, 38 % in the umbra, 0.3 % between; 12 % are lit by a Sun below the
+    local horizontal. A circular orbit through a cylinder of shadow, at each start's Sun angle, gives the same night.
+    """
     env = DockingEnv(None, fidelity="iss-numerical")
     params = env.default_params()
 
@@ -325,12 +329,11 @@ def test_starts_over_the_seven_days_see_day_night_and_terminator(x64):
     # Below the local horizontal and still lit: the dip of the horizon at 417 km is 20 deg.
     terminator = np.mean((visible > 0) & (elevation < 0))
     shadow = np.arccos(np.sqrt(1 - (reference.RADIUS / SMA) ** 2) / np.cos(beta)) / np.pi
-    print(day, night, penumbra, terminator, shadow.mean(), np.degrees([beta.min(), beta.max()]))
     assert night + penumbra / 2 == pytest.approx(shadow.mean(), abs=0.01)
-    assert 0.58 < day < 0.66
-    assert 0.34 < night < 0.42
-    assert 5e-4 < penumbra < 0.01
-    assert 0.08 < terminator < 0.16
+    assert 0.60 < day < 0.64
+    assert 0.36 < night < 0.40
+    assert 1e-3 < penumbra < 6e-3
+    assert 0.10 < terminator < 0.14
     assert elevation.min() < -60 and elevation.max() > 60
 
 
