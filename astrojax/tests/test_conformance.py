@@ -20,6 +20,7 @@ from astrojax import (
     attitude,
     drag,
     dynamics,
+    eclipse,
     elements,
     ephemeris,
     gravity,
@@ -66,6 +67,12 @@ A = np.array
 
 def _at_height(height):
     return _unit([0.4, -0.5, 0.3]) * (6371e3 + height)
+
+
+def _behind_the_earth(angle):
+    """413 km up, `angle` [rad] away from the point opposite the Sun."""
+    shadow = -_unit(SUN)
+    return 6791e3 * (np.cos(angle) * shadow + np.sin(angle) * _unit(np.cross(shadow, [0.3, 0.2, 0.9])))
 
 
 AXIS = _unit([1.0, -2.0, 0.5])
@@ -173,6 +180,13 @@ CASES = [
         "density_harris_priester/exponent",
         atmosphere.density_harris_priester,
         (_at_height(413e3), SUN, A(3.3)),
+        rtol32=1e-4,
+        gradient_rtol32=1e-2,
+    ),
+    case(
+        "illumination_conical",
+        eclipse.illumination_conical,
+        *((_behind_the_earth(angle), SUN) for angle in (0.5, 1.2181, 1.2223, 1.2257, 1.4)),  # umbra, penumbra, sunlight
         rtol32=1e-4,
         gradient_rtol32=1e-2,
     ),

@@ -1,3 +1,5 @@
+import functools
+
 import jax
 import numpy as np
 import pytest
@@ -16,6 +18,17 @@ def x64():
     """JAX's 64-bit mode for the length of a test."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="session")
+def quick():
+    """`jax.jit` that skips optimisation, where JAX has the options: for programs that run once."""
+    options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+    try:
+        jax.jit(lambda x: x, compiler_options=options)(1.0)
+    except jax.errors.JaxRuntimeError:
+        options = None
+    return functools.partial(jax.jit, compiler_options=options)
 
 
 @pytest.fixture(scope="session")

@@ -73,8 +73,8 @@ class DockingEnv:
     state.next_key)` starts the next one reproducibly. `place`, `begin`, `advance`, `finish` and `observe` are the
     pieces they are made of, for environments that put something in between.
 
-    Environments of equal `structure` and `dynamics` are equal and run the same compiled programs; what else they are configured to
-    is in their `params` alone. So pass `params` into a compiled function that takes the environment as a static
+    Environments of equal `structure` and `dynamics` are equal and run the same compiled programs; what else they are
+    configured to is in their `params` alone. So pass `params` into a compiled function that takes the environment as a static
     argument, rather than ask for `default_params()` inside it.
 
     Args:
