@@ -1,0 +1,366 @@
+"""Train PPO pilots inside one compiled program: `python examples/train_jax_ppo.py [--updates N] [--seeds K]`.
+
+Environment steps, automatic reset, advantages, minibatch epochs and logging are one `lax.scan`, called once per line of
+the log; `--seeds K` trains K independent pilots in it by `vmap`. Task and settings are those of `train_sb3_ppo.py`, so
+that the two compare at equal frames: one port (Zvezda aft), two minutes, starts at 75 to 100 m with the nose on the
+station, less torque, more weight on progress and less on escape, and the goal error in the chaser's axes appended.
+There is no curriculum. Nothing but the collision charge tells the pilot of the hull.
+
+Needs `pip install optax matplotlib` beside `outofthisworldmodel-envs`; both come with `outofthisworldmodel`.
+"""
+
+import argparse
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from astrojax.attitude import quat_conjugate, quat_rotate
+from owm_envs.env import DockingEnv, EnvState
+from owm_envs.task.events import Outcome
+
+EASIER = {
+    "ports": ["zvezda_aft"],
+    "reset": {"radius_min": 75.0, "radius_max": 100.0, "attitude_error_deg": 0.0, "rate": 0.0},
+    "chaser": {"torque_limit": 600.0},
+    "reward": {"progress": -50.0, "escape": -20.0},
+}
+GAMMA, LAMBDA, CLIP, VALUE_WEIGHT, EPOCHS, MINIBATCHES, WIDTH = 0.99, 0.95, 0.2, 0.5, 8, 15, 64
+OPTIMIZER = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(5e-4, eps=1e-5))
+
+
+class Moments(NamedTuple):
+    """Running mean and variance of what was seen so far."""
+
+    mean: jax.Array
+    variance: jax.Array
+    count: jax.Array
+
+    def merge(self, batch: jax.Array) -> "Moments":
+        """With a batch (N, ...) more. Source: Chan, Golub and LeVeque (1979)."""
+        fresh, total = batch.shape[0], self.count + batch.shape[0]
+        shift, share = batch.mean(0) - self.mean, batch.shape[0] / total
+        variance = self.variance * (1 - share) + batch.var(0) * share + shift**2 * share * (1 - share)
+        return Moments(self.mean + shift * share, variance, self.count + fresh)
+
+
+class Pilot(NamedTuple):
+    """What it takes to fly: networks as [(weight, bias), ...], exploration, and the observations' moments."""
+
+    actor: list
+    critic: list
+    log_std: jax.Array
+    seen: Moments
+
+    def normalize(self, features: jax.Array) -> jax.Array:
+        return jnp.clip((features - self.seen.mean) / jnp.sqrt(self.seen.variance + 1e-8), -10, 10)
+
+
+class Agent(NamedTuple):
+    """All that training carries from one update to the next."""
+
+    pilot: Pilot
+    optimizer: Any
+    earned_moments: Moments
+    """Of the discounted reward so far, by whose spread rewards are divided."""
+    slots: "Slots"
+    key: jax.Array
+
+
+class Slots(NamedTuple):
+    """The batch of running episodes."""
+
+    states: EnvState
+    features: jax.Array
+    discounted: jax.Array
+    earned: jax.Array
+
+
+class Transition(NamedTuple):
+    """One decision of every slot; `last` is what followed, before an ended episode gave way to the next one."""
+
+    seen: jax.Array
+    action: jax.Array
+    log_prob: jax.Array
+    features: jax.Array
+    last: jax.Array
+    reward: jax.Array
+    discounted: jax.Array
+    terminated: jax.Array
+    done: jax.Array
+    episode: dict[str, jax.Array]
+
+
+def network(key: jax.Array, sizes: list[int], final: float) -> list:
+    """Orthogonal weights and zero biases; the last layer scaled by `final`."""
+    gains = [2**0.5] * (len(sizes) - 2) + [final]
+    shapes = zip(jax.random.split(key, len(gains)), sizes[:-1], sizes[1:], gains)
+    return [
+        (jax.nn.initializers.orthogonal(g)(k, (m, n), jnp.float32), jnp.zeros(n, jnp.float32)) for k, m, n, g in shapes
+    ]
+
+
+def forward(layers: list, x: jax.Array) -> jax.Array:
+    *hidden, (weight, bias) = layers
+    for w, b in hidden:
+        x = jnp.tanh(x @ w + b)
+    return x @ weight + bias
+
+
+def log_density(mean: jax.Array, log_std: jax.Array, action: jax.Array) -> jax.Array:
+    return jnp.sum(-0.5 * ((action - mean) / jnp.exp(log_std)) ** 2 - log_std - 0.5 * np.log(2 * np.pi), axis=-1)
+
+
+def features(env: DockingEnv, observation: jax.Array) -> jax.Array:
+    """The observation and its position and velocity errors in the chaser's axes, where the thrusters push."""
+    to_body = quat_conjugate(observation[env.layout.view][6:10])
+    position, velocity = observation[-12:-9], observation[-9:-6]
+    return jnp.concatenate([observation, quat_rotate(to_body, position), quat_rotate(to_body, velocity)])
+
+
+def start(env: DockingEnv, params, key: jax.Array) -> tuple[EnvState, jax.Array]:
+    state, observation = env.reset(params, key=key)
+    return state, features(env, observation)
+
+
+def new_agent(env: DockingEnv, envs: int, params, key: jax.Array) -> Agent:
+    """An untrained pilot and its slots."""
+    actor, critic, slots, key = jax.random.split(key, 4)
+    states, seen = jax.vmap(partial(start, env, params))(jax.random.split(slots, envs))
+    size, zeros = seen.shape[-1], jnp.zeros(envs, jnp.float32)
+    pilot = Pilot(
+        network(actor, [size, WIDTH, WIDTH, 6], 0.01),
+        network(critic, [size, WIDTH, WIDTH, 1], 1.0),
+        jnp.full(6, -1.0, jnp.float32),
+        Moments(jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32), jnp.float32(1e-4)),
+    )
+    earned = Moments(jnp.float32(0), jnp.float32(1), jnp.float32(1e-4))
+    return Agent(pilot, OPTIMIZER.init(pilot[:3]), earned, Slots(states, seen, zeros, zeros), key)
+
+
+def decide(env: DockingEnv, params, pilot: Pilot, slots: Slots, key: jax.Array) -> tuple[Slots, Transition]:
+    """One decision of every slot; those whose episode ends start the next one."""
+    seen = pilot.normalize(slots.features)
+    mean = forward(pilot.actor, seen)
+    action = mean + jnp.exp(pilot.log_std) * jax.random.normal(key, mean.shape, jnp.float32)
+    states, result = jax.vmap(env.step, (None, 0, 0))(params, slots.states, action)  # clips to the wrench limits
+    last = jax.vmap(partial(features, env))(result.observation)
+    reward = result.reward.astype(jnp.float32)
+    done = result.terminated | result.truncated
+    discounted, earned = GAMMA * slots.discounted + reward, slots.earned + reward
+    episode = {"return": earned, "docked": states.outcome == Outcome.DOCKED, "touched the hull": states.collided}
+    row = Transition(
+        seen, action, log_density(mean, pilot.log_std, action), slots.features, last, reward, discounted,
+        result.terminated, done, episode,
+    )  # fmt: skip
+
+    fresh, first = jax.vmap(partial(start, env, params))(states.next_key)
+    following = Slots(fresh, first, jnp.zeros_like(discounted), jnp.zeros_like(earned))
+    ended = lambda new, old: jnp.where(jnp.reshape(done, done.shape + (1,) * (new.ndim - 1)), new, old)
+    return jax.tree.map(ended, following, Slots(states, last, discounted, earned)), row
+
+
+def advantages(values, next_values, reward, terminated, done) -> jax.Array:
+    """Generalised advantages (T, B). Source: Schulman et al. (2016), equation 16.
+
+    A terminated episode has no future; one that the horizon cut off has the value of where it stopped.
+    """
+    surprise = reward + GAMMA * jnp.where(terminated, 0, next_values) - values
+
+    def back(later, row):
+        now = row[0] + GAMMA * LAMBDA * jnp.where(row[1], 0, later)
+        return now, now
+
+    return jax.lax.scan(back, jnp.zeros_like(values[0]), (surprise, done), reverse=True)[1]
+
+
+def loss(weights, batch) -> jax.Array:
+    """PPO's clipped surrogate and the critic's squared error. Source: Schulman et al. (2017), equation 7."""
+    actor, critic, log_std = weights
+    seen, action, old, advantage, target = batch
+    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    ratio = jnp.exp(log_density(forward(actor, seen), log_std, action) - old)
+    surrogate = jnp.minimum(ratio * advantage, jnp.clip(ratio, 1 - CLIP, 1 + CLIP) * advantage)
+    return -surrogate.mean() + VALUE_WEIGHT * jnp.mean((forward(critic, seen)[:, 0] - target) ** 2)
+
+
+def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, dict[str, jax.Array]]:
+    """Fly `steps` decisions in every slot and learn from them; also the means over the episodes that ended."""
+    pilot = agent.pilot
+    key, flight, learning = jax.random.split(agent.key, 3)
+    slots, rows = jax.lax.scan(partial(decide, env, params, pilot), agent.slots, jax.random.split(flight, steps))
+
+    earned_moments = agent.earned_moments.merge(rows.discounted.reshape(-1))
+    reward = jnp.clip(rows.reward / jnp.sqrt(earned_moments.variance + 1e-8), -10, 10)
+    values = forward(pilot.critic, rows.seen)[..., 0]
+    next_values = forward(pilot.critic, pilot.normalize(rows.last))[..., 0]
+    advantage = advantages(values, next_values, reward, rows.terminated, rows.done)
+    batch = (rows.seen, rows.action, rows.log_prob, advantage, advantage + values)
+    batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
+    count = advantage.size // MINIBATCHES * MINIBATCHES
+
+    def minibatch(carry, rows):
+        weights, optimizer = carry
+        gradient = jax.grad(loss)(weights, jax.tree.map(lambda x: x[rows], batch))
+        change, optimizer = OPTIMIZER.update(gradient, optimizer)
+        return (optax.apply_updates(weights, change), optimizer), None
+
+    def epoch(carry, key):
+        order = jax.random.permutation(key, advantage.size)[:count]
+        return jax.lax.scan(minibatch, carry, order.reshape(MINIBATCHES, -1))
+
+    carry = (tuple(pilot[:3]), agent.optimizer)
+    (weights, optimizer), _ = jax.lax.scan(epoch, carry, jax.random.split(learning, EPOCHS))
+    seen = pilot.seen.merge(rows.features.reshape(-1, rows.features.shape[-1]))
+    ended = jnp.maximum(rows.done.sum(), 1)
+    means = {name: jnp.sum(jnp.where(rows.done, value, 0)) / ended for name, value in rows.episode.items()}
+    return Agent(Pilot(*weights, seen), optimizer, earned_moments, slots, key), means
+
+
+def evaluate(env: DockingEnv, steps: int, envs: int, params, pilot: Pilot | None) -> dict[str, jax.Array]:
+    """Fly one episode per slot from fixed starts without exploring, or without thrust; means and medians."""
+    states, seen = jax.vmap(lambda i: start(env, params, jax.random.key(i)))(10_000 + jnp.arange(envs))
+
+    def fly(carry, _):
+        states, seen = carry
+        action = jnp.zeros((envs, 6), jnp.float32) if pilot is None else forward(pilot.actor, pilot.normalize(seen))
+        states, result = jax.vmap(env.step, (None, 0, 0))(params, states, action)
+        return (states, jax.vmap(partial(features, env))(result.observation)), result.reward
+
+    (states, _), reward = jax.lax.scan(fly, (states, seen), length=steps)
+    info = jax.vmap(env.info, (None, 0))(params, states)
+    return {
+        "return": reward.sum(0).mean(),
+        "closest": jnp.median(info["closest_distance"]),
+        "final": jnp.median(jnp.linalg.norm(info["true_goal_error"][:, :3], axis=1)),
+        "docked": jnp.mean(info["outcome"] == Outcome.DOCKED),
+        "touched the hull": jnp.mean(info["collided"]),
+    }
+
+
+def report(name: str, figures: dict[str, jax.Array]) -> None:
+    figures = {key: np.atleast_1d(value) for key, value in figures.items()}
+    for number, total in enumerate(figures["return"]):
+        closest, final, docked, touched = (
+            figures[k][number] for k in ("closest", "final", "docked", "touched the hull")
+        )
+        print(
+            f"{name:<10} pilot {number}: return {total:8.2f}   distance to the port: closest {closest:6.2f} m, "
+            f"at the end {final:6.2f} m (medians)   docked {docked:.0%}   touched the hull {touched:.0%}",
+            flush=True,
+        )
+
+
+def save(file: Path, pilots: Pilot) -> None:
+    """Weights and normalisation of all pilots, one array a leaf, their seeds along its first axis."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(pilots)
+    np.savez(file, **{jax.tree_util.keystr(path): np.asarray(leaf) for path, leaf in leaves})
+
+
+def load(file: Path, like: Pilot) -> Pilot:
+    """What `save` wrote, in the structure of `like`."""
+    leaves, structure = jax.tree_util.tree_flatten_with_path(like)
+    with np.load(file) as saved:
+        return structure.unflatten([jnp.asarray(saved[jax.tree_util.keystr(path)]) for path, _ in leaves])
+
+
+def plot(curves: dict[str, np.ndarray], frames: int, idle: float, title: str, file: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    seen = frames * np.arange(1, len(curves["return"]) + 1)
+    for axes, name, color in ((left, "return", "C0"), (right, "docked", "C2"), (right, "touched the hull", "C3")):
+        values = curves[name] * (100 if axes is right else 1)
+        if values.shape[1] > 1:
+            axes.plot(seen, values, color=color, alpha=0.3, linewidth=0.8)
+        axes.plot(seen, values.mean(1), color=color, label=name if axes is right else "PPO while training (exploring)")
+    left.axhline(idle, color="0.4", linestyle=":", label=f"no thrust: {idle:.1f}")
+    left.set(xlabel="frames per pilot", ylabel="episode return")
+    right.set(xlabel="frames per pilot", ylabel="% of episodes while training", ylim=(-3, 103))
+    for axes in (left, right):
+        axes.legend()
+    figure.suptitle(title)
+    figure.savefig(file, dpi=150)
+
+
+def main(arguments: list[str] | None = None) -> dict[str, Any]:
+    """Train, evaluate before and after on the same starts, save, reload and plot."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--fidelity", default="iss-hcw", help="iss, iss-hcw (both float32) or iss-numerical (float64)")
+    parser.add_argument("--updates", type=int, default=65, help="of envs x horizon frames each")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after this long, if earlier")
+    parser.add_argument("--chunk", type=int, default=5, help="updates per call of the compiled program")
+    parser.add_argument("--envs", type=int, default=128, help="per pilot")
+    parser.add_argument("--horizon", type=int, default=120, help="s per episode, at one decision a second")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1, help="pilots to train at once")
+    parser.add_argument("--out", type=Path, default=Path("runs/jax_ppo"))
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    precision = "float64" if options.fidelity == "iss-numerical" else "float32"
+    with jax.enable_x64(precision == "float64"):  # the networks are float32 either way
+        return train(options, precision)
+
+
+def train(options: argparse.Namespace, precision: str) -> dict[str, Any]:
+    task = {"fidelity": options.fidelity, "precision": precision, "normalize": True, "horizon": float(options.horizon)}
+    env = DockingEnv(preset="rl", **task, **EASIER)
+    params, frames = env.default_params(), options.envs * options.horizon
+    trial = jax.jit(jax.vmap(partial(evaluate, env, options.horizon, options.envs), (None, 0)))
+    one = partial(update, env, options.horizon)
+
+    @partial(jax.jit, donate_argnums=1)
+    def program(params, agents):
+        return jax.lax.scan(lambda now, _: jax.vmap(one, (None, 0))(params, now), agents, length=options.chunk)
+
+    keys = jax.random.split(jax.random.key(options.seed), options.seeds)
+    agents = jax.jit(jax.vmap(partial(new_agent, env, options.envs), (None, 0)))(params, keys)
+    idle = jax.jit(partial(evaluate, env, options.horizon, options.envs))(params, None)
+    report("no thrust", idle)
+    before = trial(params, agents.pilot)
+    report("before", before)
+    began = time.perf_counter()
+    program = program.lower(params, agents).compile()
+    compiled = time.perf_counter() - began
+    print(f"compiled in {compiled:.1f} s")
+
+    history, spent, calls = [], 0.0, -(-options.updates // options.chunk)
+    columns = (TextColumn("{task.fields[text]}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns) as bar:
+        line = bar.add_task("", total=calls, text="training")
+        for call in range(calls):
+            began = time.perf_counter()
+            agents, means = jax.block_until_ready(program(params, agents))
+            spent += time.perf_counter() - began
+            history.append({name: np.asarray(value) for name, value in means.items()})
+            now = {name: value[-1].mean() for name, value in history[-1].items()}
+            text = f"{frames * options.chunk * (call + 1):>10,} frames   {spent:6.1f} s   return {now['return']:8.2f}"
+            print(f"{text}   docked {now['docked']:4.0%}   touched the hull {now['touched the hull']:4.0%}")
+            bar.update(line, advance=1, text=f"return {now['return']:.2f}")
+            if spent > 60 * options.minutes:
+                break
+
+    curves = {name: np.concatenate([chunk[name] for chunk in history]) for name in history[0]}
+    flown = frames * len(curves["return"])
+    save(options.out / "pilot.npz", agents.pilot)
+    after = trial(params, load(options.out / "pilot.npz", agents.pilot))
+    report("after", after)
+    rate = flown * options.seeds / spent
+    print(f"{flown * options.seeds:,} frames in {spent:.1f} s: {rate:,.0f} frames/s, learning included")
+    title = f"PPO in one compiled program, {spent:.0f} s; then, not exploring: docked {np.mean(after['docked']):.0%}"
+    plot(curves, frames, float(idle["return"]), title, options.out / "learning_curve.png")
+    print(f"saved pilot.npz and learning_curve.png in {options.out}")
+    return {"before": before, "after": after, "curves": curves, "frames_per_s": rate, "compile_s": compiled}
+
+
+if __name__ == "__main__":
+    main()
