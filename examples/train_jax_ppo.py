@@ -82,21 +82,6 @@ class Slots(NamedTuple):
     earned: jax.Array
 
 
-class Transition(NamedTuple):
-    """One decision of every slot; `last` is what followed, before an ended episode gave way to the next one."""
-
-    seen: jax.Array
-    action: jax.Array
-    log_prob: jax.Array
-    features: jax.Array
-    last: jax.Array
-    reward: jax.Array
-    discounted: jax.Array
-    terminated: jax.Array
-    done: jax.Array
-    episode: dict[str, jax.Array]
-
-
 def network(key: jax.Array, sizes: list[int], final: float) -> list:
     """Orthogonal weights and zero biases; the last layer scaled by `final`."""
     gains = [2**0.5] * (len(sizes) - 2) + [final]
@@ -144,8 +129,8 @@ def new_agent(env: DockingEnv, envs: int, params, key: jax.Array) -> Agent:
     return Agent(pilot, OPTIMIZER.init(pilot[:3]), earned, Slots(states, seen, zeros, zeros), key)
 
 
-def decide(env: DockingEnv, params, pilot: Pilot, slots: Slots, key: jax.Array) -> tuple[Slots, Transition]:
-    """One decision of every slot; those whose episode ends start the next one."""
+def decide(env: DockingEnv, params, pilot: Pilot, slots: Slots, key: jax.Array) -> tuple[Slots, dict[str, Any]]:
+    """One decision of every slot; those whose episode ends start the next one. Also what is to be learned from it."""
     seen = pilot.normalize(slots.features)
     mean = forward(pilot.actor, seen)
     action = mean + jnp.exp(pilot.log_std) * jax.random.normal(key, mean.shape, jnp.float32)
@@ -153,17 +138,16 @@ def decide(env: DockingEnv, params, pilot: Pilot, slots: Slots, key: jax.Array) 
     last = jax.vmap(partial(features, env))(result.observation)
     reward = result.reward.astype(jnp.float32)
     done = result.terminated | result.truncated
-    discounted, earned = GAMMA * slots.discounted + reward, slots.earned + reward
-    episode = {"return": earned, "docked": states.outcome == Outcome.DOCKED, "touched the hull": states.collided}
-    row = Transition(
-        seen, action, log_density(mean, pilot.log_std, action), slots.features, last, reward, discounted,
-        result.terminated, done, episode,
-    )  # fmt: skip
+    now = Slots(states, last, GAMMA * slots.discounted + reward, slots.earned + reward)
+    row = {"seen": seen, "action": action, "log_prob": log_density(mean, pilot.log_std, action), "reward": reward}
+    row |= {"features": slots.features, "last": last, "discounted": now.discounted}
+    row |= {"terminated": result.terminated, "done": done}
+    row["episode"] = {"return": now.earned, "docked": states.outcome == Outcome.DOCKED, "touched": states.collided}
 
     fresh, first = jax.vmap(partial(start, env, params))(states.next_key)
-    following = Slots(fresh, first, jnp.zeros_like(discounted), jnp.zeros_like(earned))
+    following = Slots(fresh, first, jnp.zeros_like(reward), jnp.zeros_like(reward))
     ended = lambda new, old: jnp.where(jnp.reshape(done, done.shape + (1,) * (new.ndim - 1)), new, old)
-    return jax.tree.map(ended, following, Slots(states, last, discounted, earned)), row
+    return jax.tree.map(ended, following, now), row
 
 
 def advantages(values, next_values, reward, terminated, done) -> jax.Array:
@@ -196,30 +180,29 @@ def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, di
     key, flight, learning = jax.random.split(agent.key, 3)
     slots, rows = jax.lax.scan(partial(decide, env, params, pilot), agent.slots, jax.random.split(flight, steps))
 
-    earned_moments = agent.earned_moments.merge(rows.discounted.reshape(-1))
-    reward = jnp.clip(rows.reward / jnp.sqrt(earned_moments.variance + 1e-8), -10, 10)
-    values = forward(pilot.critic, rows.seen)[..., 0]
-    next_values = forward(pilot.critic, pilot.normalize(rows.last))[..., 0]
-    advantage = advantages(values, next_values, reward, rows.terminated, rows.done)
-    batch = (rows.seen, rows.action, rows.log_prob, advantage, advantage + values)
+    earned_moments = agent.earned_moments.merge(rows["discounted"].reshape(-1))
+    reward = jnp.clip(rows["reward"] / jnp.sqrt(earned_moments.variance + 1e-8), -10, 10)
+    values = forward(pilot.critic, rows["seen"])[..., 0]
+    next_values = forward(pilot.critic, pilot.normalize(rows["last"]))[..., 0]
+    advantage = advantages(values, next_values, reward, rows["terminated"], rows["done"])
+    batch = (rows["seen"], rows["action"], rows["log_prob"], advantage, advantage + values)
     batch = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
-    count = advantage.size // MINIBATCHES * MINIBATCHES
 
-    def minibatch(carry, rows):
+    def minibatch(carry, chosen):
         weights, optimizer = carry
-        gradient = jax.grad(loss)(weights, jax.tree.map(lambda x: x[rows], batch))
+        gradient = jax.grad(loss)(weights, jax.tree.map(lambda x: x[chosen], batch))
         change, optimizer = OPTIMIZER.update(gradient, optimizer)
         return (optax.apply_updates(weights, change), optimizer), None
 
     def epoch(carry, key):
-        order = jax.random.permutation(key, advantage.size)[:count]
+        order = jax.random.permutation(key, advantage.size)[: advantage.size // MINIBATCHES * MINIBATCHES]
         return jax.lax.scan(minibatch, carry, order.reshape(MINIBATCHES, -1))
 
     carry = (tuple(pilot[:3]), agent.optimizer)
     (weights, optimizer), _ = jax.lax.scan(epoch, carry, jax.random.split(learning, EPOCHS))
-    seen = pilot.seen.merge(rows.features.reshape(-1, rows.features.shape[-1]))
-    ended = jnp.maximum(rows.done.sum(), 1)
-    means = {name: jnp.sum(jnp.where(rows.done, value, 0)) / ended for name, value in rows.episode.items()}
+    seen = pilot.seen.merge(rows["features"].reshape(-1, rows["features"].shape[-1]))
+    ended = jnp.maximum(rows["done"].sum(), 1)
+    means = {name: jnp.sum(jnp.where(rows["done"], value, 0)) / ended for name, value in rows["episode"].items()}
     return Agent(Pilot(*weights, seen), optimizer, earned_moments, slots, key), means
 
 
@@ -238,23 +221,18 @@ def evaluate(env: DockingEnv, steps: int, envs: int, params, pilot: Pilot | None
     return {
         "return": reward.sum(0).mean(),
         "closest": jnp.median(info["closest_distance"]),
-        "final": jnp.median(jnp.linalg.norm(info["true_goal_error"][:, :3], axis=1)),
         "docked": jnp.mean(info["outcome"] == Outcome.DOCKED),
-        "touched the hull": jnp.mean(info["collided"]),
+        "within 1 m": jnp.mean(info["closest_distance"] < 1),
+        "touched": jnp.mean(info["collided"]),
     }
 
 
 def report(name: str, figures: dict[str, jax.Array]) -> None:
-    figures = {key: np.atleast_1d(value) for key, value in figures.items()}
-    for number, total in enumerate(figures["return"]):
-        closest, final, docked, touched = (
-            figures[k][number] for k in ("closest", "final", "docked", "touched the hull")
-        )
-        print(
-            f"{name:<10} pilot {number}: return {total:8.2f}   distance to the port: closest {closest:6.2f} m, "
-            f"at the end {final:6.2f} m (medians)   docked {docked:.0%}   touched the hull {touched:.0%}",
-            flush=True,
-        )
+    """A line of means over the pilots."""
+    total, closest, *shares = (np.mean(figures[k]) for k in ("return", "closest", "within 1 m", "docked", "touched"))
+    came, docked, touched = (f"{share:4.0%}" for share in shares)
+    text = f"return {total:8.2f}   closest {closest:6.2f} m   came within 1 m {came}   docked {docked}   hull touched {touched}"
+    print(f"{name:<26} {text}", flush=True)
 
 
 def save(file: Path, pilots: Pilot) -> None:
@@ -270,22 +248,31 @@ def load(file: Path, like: Pilot) -> Pilot:
         return structure.unflatten([jnp.asarray(saved[jax.tree_util.keystr(path)]) for path, _ in leaves])
 
 
-def plot(curves: dict[str, np.ndarray], frames: int, idle: float, title: str, file: Path) -> None:
+def plot(curves, trials, frames: int, chunk: int, idle: float, title: str, file: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    seen = frames * np.arange(1, len(curves["return"]) + 1)
-    for axes, name, color in ((left, "return", "C0"), (right, "docked", "C2"), (right, "touched the hull", "C3")):
-        values = curves[name] * (100 if axes is right else 1)
+    millions = frames / 1e6 * np.arange(1, len(curves["return"]) + 1)
+    tried = frames * chunk / 1e6 * np.arange(len(trials["return"]))
+    left.plot(millions, curves["return"].mean(1), color="0.5", label="while training (exploring)")
+    for axes, name, scale, color in (
+        (left, "return", 1, "C0"),
+        (right, "within 1 m", 100, "C0"),
+        (right, "docked", 100, "C2"),
+        (right, "touched", 100, "C3"),
+    ):
+        values = trials[name] * scale
         if values.shape[1] > 1:
-            axes.plot(seen, values, color=color, alpha=0.3, linewidth=0.8)
-        axes.plot(seen, values.mean(1), color=color, label=name if axes is right else "PPO while training (exploring)")
-    left.axhline(idle, color="0.4", linestyle=":", label=f"no thrust: {idle:.1f}")
-    left.set(xlabel="frames per pilot", ylabel="episode return")
-    right.set(xlabel="frames per pilot", ylabel="% of episodes while training", ylim=(-3, 103))
+            axes.plot(tried, values, color=color, alpha=0.3, linewidth=0.8)
+        label = {"return": "on trial (not exploring)", "touched": "touched the hull"}.get(name, name)
+        axes.plot(tried, values.mean(1), ".-", color=color, label=label)
+    left.axhline(idle, color="k", linestyle=":", linewidth=1, label=f"no thrust: {idle:.0f}")
+    left.set(xlabel="million frames per pilot", ylabel="episode return")
+    left.set_yscale("symlog", linthresh=100)
+    right.set(xlabel="million frames per pilot", ylabel="% of trial flights", ylim=(-3, 103))
     for axes in (left, right):
         axes.legend()
     figure.suptitle(title)
@@ -293,11 +280,11 @@ def plot(curves: dict[str, np.ndarray], frames: int, idle: float, title: str, fi
 
 
 def main(arguments: list[str] | None = None) -> dict[str, Any]:
-    """Train, evaluate before and after on the same starts, save, reload and plot."""
+    """Train, evaluate on the same starts all along, save, reload and plot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fidelity", default="iss-hcw", help="iss, iss-hcw (both float32) or iss-numerical (float64)")
-    parser.add_argument("--updates", type=int, default=65, help="of envs x horizon frames each")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="stop after this long, if earlier")
+    parser.add_argument("--updates", type=int, default=130, help="of envs x horizon frames each")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="stop training after this long, if earlier")
     parser.add_argument("--chunk", type=int, default=5, help="updates per call of the compiled program")
     parser.add_argument("--envs", type=int, default=128, help="per pilot")
     parser.add_argument("--horizon", type=int, default=120, help="s per episode, at one decision a second")
@@ -326,40 +313,33 @@ def train(options: argparse.Namespace, precision: str) -> dict[str, Any]:
     agents = jax.jit(jax.vmap(partial(new_agent, env, options.envs), (None, 0)))(params, keys)
     idle = jax.jit(partial(evaluate, env, options.horizon, options.envs))(params, None)
     report("no thrust", idle)
-    before = trial(params, agents.pilot)
-    report("before", before)
+    trials, curves, spent, calls = [trial(params, agents.pilot)], [], 0.0, -(-options.updates // options.chunk)
+    report("before", trials[0])
     began = time.perf_counter()
     program = program.lower(params, agents).compile()
     compiled = time.perf_counter() - began
-    print(f"compiled in {compiled:.1f} s")
-
-    history, spent, calls = [], 0.0, -(-options.updates // options.chunk)
-    columns = (TextColumn("{task.fields[text]}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns) as bar:
-        line = bar.add_task("", total=calls, text="training")
-        for call in range(calls):
+    with Progress(TextColumn("compiled in {task.fields[s]:.1f} s"), BarColumn(), TimeElapsedColumn()) as bar:
+        line = bar.add_task("", total=calls, s=compiled)
+        while len(curves) < calls and spent < 60 * options.minutes:
             began = time.perf_counter()
             agents, means = jax.block_until_ready(program(params, agents))
             spent += time.perf_counter() - began
-            history.append({name: np.asarray(value) for name, value in means.items()})
-            now = {name: value[-1].mean() for name, value in history[-1].items()}
-            text = f"{frames * options.chunk * (call + 1):>10,} frames   {spent:6.1f} s   return {now['return']:8.2f}"
-            print(f"{text}   docked {now['docked']:4.0%}   touched the hull {now['touched the hull']:4.0%}")
-            bar.update(line, advance=1, text=f"return {now['return']:.2f}")
-            if spent > 60 * options.minutes:
-                break
+            curves.append(means)
+            trials.append(trial(params, agents.pilot))
+            report(f"{len(curves) * options.chunk * frames:>11,} frames {spent:6.1f} s", trials[-1])
+            bar.update(line, advance=1)
 
-    curves = {name: np.concatenate([chunk[name] for chunk in history]) for name in history[0]}
-    flown = frames * len(curves["return"])
     save(options.out / "pilot.npz", agents.pilot)
     after = trial(params, load(options.out / "pilot.npz", agents.pilot))
-    report("after", after)
-    rate = flown * options.seeds / spent
-    print(f"{flown * options.seeds:,} frames in {spent:.1f} s: {rate:,.0f} frames/s, learning included")
-    title = f"PPO in one compiled program, {spent:.0f} s; then, not exploring: docked {np.mean(after['docked']):.0%}"
-    plot(curves, frames, float(idle["return"]), title, options.out / "learning_curve.png")
+    report("after, from the file", after)
+    flown = len(curves) * options.chunk * frames * options.seeds
+    print(f"{flown:,} frames in {spent:.1f} s: {flown / spent:,.0f} frames/s, learning included, trials not")
+    curves = jax.tree.map(lambda *chunks: np.concatenate(chunks), *curves)
+    trials = jax.tree.map(lambda *each: np.stack(each), *trials)
+    title = f"PPO in one compiled program: {spent:.0f} s, {options.seeds} pilot{'s' * (options.seeds > 1)}"
+    plot(curves, trials, frames, options.chunk, float(idle["return"]), title, options.out / "learning_curve.png")
     print(f"saved pilot.npz and learning_curve.png in {options.out}")
-    return {"before": before, "after": after, "curves": curves, "frames_per_s": rate, "compile_s": compiled}
+    return {"trials": trials, "after": after, "curves": curves, "frames_per_s": flown / spent}
 
 
 if __name__ == "__main__":
