@@ -12,6 +12,7 @@ Needs `pip install optax matplotlib` beside `outofthisworldmodel-envs`; both com
 import argparse
 import time
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,10 +45,10 @@ class Moments(NamedTuple):
 
     def merge(self, batch: jax.Array) -> "Moments":
         """With a batch (N, ...) more. Source: Chan, Golub and LeVeque (1979)."""
-        fresh, total = batch.shape[0], self.count + batch.shape[0]
+        total = self.count + batch.shape[0]
         shift, share = batch.mean(0) - self.mean, batch.shape[0] / total
         variance = self.variance * (1 - share) + batch.var(0) * share + shift**2 * share * (1 - share)
-        return Moments(self.mean + shift * share, variance, self.count + fresh)
+        return Moments(self.mean + shift * share, variance, total)
 
 
 class Pilot(NamedTuple):
@@ -62,17 +63,6 @@ class Pilot(NamedTuple):
         return jnp.clip((features - self.seen.mean) / jnp.sqrt(self.seen.variance + 1e-8), -10, 10)
 
 
-class Agent(NamedTuple):
-    """All that training carries from one update to the next."""
-
-    pilot: Pilot
-    optimizer: Any
-    earned_moments: Moments
-    """Of the discounted reward so far, by whose spread rewards are divided."""
-    slots: "Slots"
-    key: jax.Array
-
-
 class Slots(NamedTuple):
     """The batch of running episodes."""
 
@@ -82,13 +72,24 @@ class Slots(NamedTuple):
     earned: jax.Array
 
 
-def network(key: jax.Array, sizes: list[int], final: float) -> list:
+class Agent(NamedTuple):
+    """All that training carries from one update to the next."""
+
+    pilot: Pilot
+    optimizer: Any
+    earned_moments: Moments
+    """Of the discounted reward so far, by whose spread rewards are divided."""
+    slots: Slots
+    key: jax.Array
+
+
+def network(key: jax.Array, sizes: tuple[int, ...], final: float) -> list:
     """Orthogonal weights and zero biases; the last layer scaled by `final`."""
-    gains = [2**0.5] * (len(sizes) - 2) + [final]
-    shapes = zip(jax.random.split(key, len(gains)), sizes[:-1], sizes[1:], gains)
-    return [
-        (jax.nn.initializers.orthogonal(g)(k, (m, n), jnp.float32), jnp.zeros(n, jnp.float32)) for k, m, n, g in shapes
-    ]
+    layers = []
+    for n, shape in enumerate(pairwise(sizes)):
+        weight = jax.nn.initializers.orthogonal(final if n == len(sizes) - 2 else 2**0.5)
+        layers.append((weight(jax.random.fold_in(key, n), shape, jnp.float32), jnp.zeros(shape[1], jnp.float32)))
+    return layers
 
 
 def forward(layers: list, x: jax.Array) -> jax.Array:
@@ -120,8 +121,8 @@ def new_agent(env: DockingEnv, envs: int, params, key: jax.Array) -> Agent:
     states, seen = jax.vmap(partial(start, env, params))(jax.random.split(slots, envs))
     size, zeros = seen.shape[-1], jnp.zeros(envs, jnp.float32)
     pilot = Pilot(
-        network(actor, [size, WIDTH, WIDTH, 6], 0.01),
-        network(critic, [size, WIDTH, WIDTH, 1], 1.0),
+        network(actor, (size, WIDTH, WIDTH, 6), 0.01),
+        network(critic, (size, WIDTH, WIDTH, 1), 1.0),
         jnp.full(6, -1.0, jnp.float32),
         Moments(jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32), jnp.float32(1e-4)),
     )
@@ -206,33 +207,26 @@ def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, di
     return Agent(Pilot(*weights, seen), optimizer, earned_moments, slots, key), means
 
 
-def evaluate(env: DockingEnv, steps: int, envs: int, params, pilot: Pilot | None) -> dict[str, jax.Array]:
-    """Fly one episode per slot from fixed starts without exploring, or without thrust; means and medians."""
+def evaluate(env: DockingEnv, steps: int, envs: int, params, pilot: Pilot) -> dict[str, jax.Array]:
+    """Fly one episode per slot from fixed starts without exploring."""
     states, seen = jax.vmap(lambda i: start(env, params, jax.random.key(i)))(10_000 + jnp.arange(envs))
 
     def fly(carry, _):
         states, seen = carry
-        action = jnp.zeros((envs, 6), jnp.float32) if pilot is None else forward(pilot.actor, pilot.normalize(seen))
+        action = forward(pilot.actor, pilot.normalize(seen))
         states, result = jax.vmap(env.step, (None, 0, 0))(params, states, action)
         return (states, jax.vmap(partial(features, env))(result.observation)), result.reward
 
     (states, _), reward = jax.lax.scan(fly, (states, seen), length=steps)
-    info = jax.vmap(env.info, (None, 0))(params, states)
-    return {
-        "return": reward.sum(0).mean(),
-        "closest": jnp.median(info["closest_distance"]),
-        "docked": jnp.mean(info["outcome"] == Outcome.DOCKED),
-        "within 1 m": jnp.mean(info["closest_distance"] < 1),
-        "touched": jnp.mean(info["collided"]),
-    }
+    figures = {"return": reward.sum(0).mean(), "closest [m]": jnp.median(states.closest.distance)}
+    figures |= {"within 1 m [%]": 100 * jnp.mean(states.closest.distance < 1)}
+    figures |= {"docked [%]": 100 * jnp.mean(states.outcome == Outcome.DOCKED)}
+    return figures | {"touched the hull [%]": 100 * jnp.mean(states.collided)}
 
 
 def report(name: str, figures: dict[str, jax.Array]) -> None:
     """A line of means over the pilots."""
-    total, closest, *shares = (np.mean(figures[k]) for k in ("return", "closest", "within 1 m", "docked", "touched"))
-    came, docked, touched = (f"{share:4.0%}" for share in shares)
-    text = f"return {total:8.2f}   closest {closest:6.2f} m   came within 1 m {came}   docked {docked}   hull touched {touched}"
-    print(f"{name:<26} {text}", flush=True)
+    print(f"{name:<27}" + "   ".join(f"{key} {np.mean(value):7.2f}" for key, value in figures.items()), flush=True)
 
 
 def save(file: Path, pilots: Pilot) -> None:
@@ -248,39 +242,32 @@ def load(file: Path, like: Pilot) -> Pilot:
         return structure.unflatten([jnp.asarray(saved[jax.tree_util.keystr(path)]) for path, _ in leaves])
 
 
-def plot(curves, trials, frames: int, chunk: int, idle: float, title: str, file: Path) -> None:
+def plot(curves, trials, frames: np.ndarray, idle: float, title: str, file: Path) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    millions = frames / 1e6 * np.arange(1, len(curves["return"]) + 1)
-    tried = frames * chunk / 1e6 * np.arange(len(trials["return"]))
-    left.plot(millions, curves["return"].mean(1), color="0.5", label="while training (exploring)")
-    for axes, name, scale, color in (
-        (left, "return", 1, "C0"),
-        (right, "within 1 m", 100, "C0"),
-        (right, "docked", 100, "C2"),
-        (right, "touched", 100, "C3"),
-    ):
-        values = trials[name] * scale
-        if values.shape[1] > 1:
-            axes.plot(tried, values, color=color, alpha=0.3, linewidth=0.8)
-        label = {"return": "on trial (not exploring)", "touched": "touched the hull"}.get(name, name)
-        axes.plot(tried, values.mean(1), ".-", color=color, label=label)
+    steps = np.linspace(0, frames[-1], len(curves["return"]) + 1)[1:]
+    left.plot(steps / 1e6, curves["return"].mean(1), color="0.5", label="while training (exploring)")
     left.axhline(idle, color="k", linestyle=":", linewidth=1, label=f"no thrust: {idle:.0f}")
+    names = {"return": "on trial (not exploring)"} | {name: name for name in trials if "%" in name}
+    for (name, label), color in zip(names.items(), ("C0", "C0", "C2", "C3")):
+        axes = left if name == "return" else right
+        axes.plot(frames / 1e6, trials[name].mean(1), ".-", color=color, label=label)
+        axes.plot(frames / 1e6, trials[name], color=color, alpha=0.3, linewidth=0.8)
     left.set(xlabel="million frames per pilot", ylabel="episode return")
     left.set_yscale("symlog", linthresh=100)
     right.set(xlabel="million frames per pilot", ylabel="% of trial flights", ylim=(-3, 103))
-    for axes in (left, right):
-        axes.legend()
+    left.legend()
+    right.legend()
     figure.suptitle(title)
     figure.savefig(file, dpi=150)
 
 
 def main(arguments: list[str] | None = None) -> dict[str, Any]:
-    """Train, evaluate on the same starts all along, save, reload and plot."""
+    """Train in the precision that the fidelity needs; returns what was plotted."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fidelity", default="iss-hcw", help="iss, iss-hcw (both float32) or iss-numerical (float64)")
     parser.add_argument("--updates", type=int, default=130, help="of envs x horizon frames each")
@@ -293,12 +280,13 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--out", type=Path, default=Path("runs/jax_ppo"))
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
+    with jax.enable_x64(options.fidelity == "iss-numerical"):  # the networks are float32 either way
+        return train(options)
+
+
+def train(options: argparse.Namespace) -> dict[str, Any]:
+    """Trial flights at every call; the trained pilots are judged as read back from their file."""
     precision = "float64" if options.fidelity == "iss-numerical" else "float32"
-    with jax.enable_x64(precision == "float64"):  # the networks are float32 either way
-        return train(options, precision)
-
-
-def train(options: argparse.Namespace, precision: str) -> dict[str, Any]:
     task = {"fidelity": options.fidelity, "precision": precision, "normalize": True, "horizon": float(options.horizon)}
     env = DockingEnv(preset="rl", **task, **EASIER)
     params, frames = env.default_params(), options.envs * options.horizon
@@ -311,7 +299,7 @@ def train(options: argparse.Namespace, precision: str) -> dict[str, Any]:
 
     keys = jax.random.split(jax.random.key(options.seed), options.seeds)
     agents = jax.jit(jax.vmap(partial(new_agent, env, options.envs), (None, 0)))(params, keys)
-    idle = jax.jit(partial(evaluate, env, options.horizon, options.envs))(params, None)
+    idle = trial(params, agents.pilot._replace(actor=jax.tree.map(jnp.zeros_like, agents.pilot.actor)))
     report("no thrust", idle)
     trials, curves, spent, calls = [trial(params, agents.pilot)], [], 0.0, -(-options.updates // options.chunk)
     report("before", trials[0])
@@ -337,7 +325,8 @@ def train(options: argparse.Namespace, precision: str) -> dict[str, Any]:
     curves = jax.tree.map(lambda *chunks: np.concatenate(chunks), *curves)
     trials = jax.tree.map(lambda *each: np.stack(each), *trials)
     title = f"PPO in one compiled program: {spent:.0f} s, {options.seeds} pilot{'s' * (options.seeds > 1)}"
-    plot(curves, trials, frames, options.chunk, float(idle["return"]), title, options.out / "learning_curve.png")
+    tried = frames * options.chunk * np.arange(len(trials["return"]))
+    plot(curves, trials, tried, float(np.mean(idle["return"])), title, options.out / "learning_curve.png")
     print(f"saved pilot.npz and learning_curve.png in {options.out}")
     return {"trials": trials, "after": after, "curves": curves, "frames_per_s": flown / spent}
 
