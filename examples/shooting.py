@@ -41,7 +41,7 @@ def problem(fidelity: str, seed: int):
 
 
 def programs(env: DockingEnv, params, state):
-    """Compiled: controls to the final error over tolerance and its Jacobian, to the error alone, to a flight for real."""
+    """Compiled: from controls the final error over tolerance and its Jacobian; the error alone; a flight for real."""
     tolerance = jnp.repeat(jnp.stack(params.docking), 3)
     # An episode that has docked stands still, and so would the gradient of what follows: aim with zero tolerances.
     # They are numbers in `params`, so flying with and without them is one program.
