@@ -115,11 +115,11 @@ def start(env: DockingEnv, params, key: jax.Array) -> tuple[EnvState, jax.Array]
     return state, features(env, observation)
 
 
-def new_agent(env: DockingEnv, envs: int, params, key: jax.Array) -> Agent:
-    """An untrained pilot and its slots."""
-    actor, critic, slots, key = jax.random.split(key, 4)
-    states, seen = jax.vmap(partial(start, env, params))(jax.random.split(slots, envs))
-    size, zeros = seen.shape[-1], jnp.zeros(envs, jnp.float32)
+def new_agent(states: EnvState, seen: jax.Array, key: jax.Array) -> Agent:
+    """An untrained pilot in slots that have just started."""
+    actor, critic, key = jax.random.split(key, 3)
+    envs, size = seen.shape
+    zeros = jnp.zeros(envs, jnp.float32)
     pilot = Pilot(
         network(actor, (size, WIDTH, WIDTH, 6), 0.01),
         network(critic, (size, WIDTH, WIDTH, 1), 1.0),
@@ -207,9 +207,8 @@ def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, di
     return Agent(Pilot(*weights, seen), optimizer, earned_moments, slots, key), means
 
 
-def evaluate(env: DockingEnv, steps: int, envs: int, params, pilot: Pilot) -> dict[str, jax.Array]:
-    """Fly one episode per slot from fixed starts without exploring."""
-    states, seen = jax.vmap(lambda i: start(env, params, jax.random.key(i)))(10_000 + jnp.arange(envs))
+def evaluate(env: DockingEnv, steps: int, params, starts, pilot: Pilot) -> dict[str, jax.Array]:
+    """Fly an episode from each of `starts` without exploring."""
 
     def fly(carry, _):
         states, seen = carry
@@ -217,7 +216,7 @@ def evaluate(env: DockingEnv, steps: int, envs: int, params, pilot: Pilot) -> di
         states, result = jax.vmap(env.step, (None, 0, 0))(params, states, action)
         return (states, jax.vmap(partial(features, env))(result.observation)), result.reward
 
-    (states, _), reward = jax.lax.scan(fly, (states, seen), length=steps)
+    (states, _), reward = jax.lax.scan(fly, starts, length=steps)
     figures = {"return": reward.sum(0).mean(), "closest [m]": jnp.median(states.closest.distance)}
     figures |= {"within 1 m [%]": 100 * jnp.mean(states.closest.distance < 1)}
     figures |= {"docked [%]": 100 * jnp.mean(states.outcome == Outcome.DOCKED)}
@@ -290,7 +289,9 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
     task = {"fidelity": options.fidelity, "precision": precision, "normalize": True, "horizon": float(options.horizon)}
     env = DockingEnv(preset="rl", **task, **EASIER)
     params, frames = env.default_params(), options.envs * options.horizon
-    trial = jax.jit(jax.vmap(partial(evaluate, env, options.horizon, options.envs), (None, 0)))
+    begin = jax.jit(jax.vmap(partial(start, env, params)))
+    trial_starts = begin(jax.random.split(jax.random.key(10_000), options.envs))
+    trial = jax.jit(jax.vmap(partial(evaluate, env, options.horizon, params, trial_starts)))
     one = partial(update, env, options.horizon)
 
     @partial(jax.jit, donate_argnums=1)
@@ -298,10 +299,11 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
         return jax.lax.scan(lambda now, _: jax.vmap(one, (None, 0))(params, now), agents, length=options.chunk)
 
     keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-    agents = jax.jit(jax.vmap(partial(new_agent, env, options.envs), (None, 0)))(params, keys)
-    idle = trial(params, agents.pilot._replace(actor=jax.tree.map(jnp.zeros_like, agents.pilot.actor)))
+    each = [new_agent(*begin(jax.random.split(key, options.envs)), jax.random.fold_in(key, 0)) for key in keys]
+    agents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
+    idle = trial(agents.pilot._replace(actor=jax.tree.map(jnp.zeros_like, agents.pilot.actor)))
     report("no thrust", idle)
-    trials, curves, spent, calls = [trial(params, agents.pilot)], [], 0.0, -(-options.updates // options.chunk)
+    trials, curves, spent, calls = [trial(agents.pilot)], [], 0.0, -(-options.updates // options.chunk)
     report("before", trials[0])
     began = time.perf_counter()
     program = program.lower(params, agents).compile()
@@ -313,12 +315,12 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
             agents, means = jax.block_until_ready(program(params, agents))
             spent += time.perf_counter() - began
             curves.append(means)
-            trials.append(trial(params, agents.pilot))
+            trials.append(trial(agents.pilot))
             report(f"{len(curves) * options.chunk * frames:>11,} frames {spent:6.1f} s", trials[-1])
             bar.update(line, advance=1)
 
     save(options.out / "pilot.npz", agents.pilot)
-    after = trial(params, load(options.out / "pilot.npz", agents.pilot))
+    after = trial(load(options.out / "pilot.npz", agents.pilot))
     report("after, from the file", after)
     flown = len(curves) * options.chunk * frames * options.seeds
     print(f"{flown:,} frames in {spent:.1f} s: {flown / spent:,.0f} frames/s, learning included, trials not")

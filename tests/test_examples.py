@@ -26,7 +26,7 @@ def ppo():
 
 
 def test_shooting_docks_by_a_gradient_that_equals_finite_differences(tmp_path):
-    options = ["--fidelity", "iss-hcw", "--iterations", "6", "--out", str(tmp_path)]
+    options = ["--fidelity", "iss", "--iterations", "6", "--out", str(tmp_path)]
     found = load("shooting").main(options)
     assert found["mismatch"] < 1e-5
     assert found["costs"][-1] < 1e-3 * found["costs"][0]
@@ -51,7 +51,8 @@ def test_pilots_learn_side_by_side_and_read_back(ppo, tmp_path):
 def test_a_pilot_bootstraps_from_where_the_horizon_cut_it_off(ppo):
     env = DockingEnv(preset="rl", fidelity="iss", precision="float32", normalize=True, horizon=2.0)
     params = env.default_params()
-    agent = jax.jit(partial(ppo.new_agent, env, 3))(params, jax.random.key(0))
+    begin = jax.jit(jax.vmap(partial(ppo.start, env, params)))
+    agent = ppo.new_agent(*begin(jax.random.split(jax.random.key(0), 3)), jax.random.key(0))
     decide = partial(ppo.decide, env, params, agent.pilot)
     keys = jax.random.split(jax.random.key(1), 2)
     flown, rows = jax.jit(lambda slots: jax.lax.scan(decide, slots, keys))(agent.slots)
