@@ -299,7 +299,8 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
         return jax.lax.scan(lambda now, _: jax.vmap(one, (None, 0))(params, now), agents, length=options.chunk)
 
     keys = jax.random.split(jax.random.key(options.seed), options.seeds)
-    each = [new_agent(*begin(jax.random.split(key, options.envs)), jax.random.fold_in(key, 0)) for key in keys]
+    born = jax.jit(new_agent)
+    each = [born(*begin(jax.random.split(key, options.envs)), jax.random.fold_in(key, 0)) for key in keys]
     agents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     idle = trial(agents.pilot._replace(actor=jax.tree.map(jnp.zeros_like, agents.pilot.actor)))
     report("no thrust", idle)
