@@ -113,7 +113,7 @@ def solve(linearize, controls, iterations: int):
             break
         gained, now = now - then, then
         controls, error, jacobian, damping = trial, trial_error, trial_jacobian, damping / 10
-        if gained < 1e-6 * now:
+        if gained < 1e-4 * now:
             break
     return controls, rows
 
