@@ -15,7 +15,6 @@ import pytest
 
 from owm_envs.env import DockingEnv
 
-
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
