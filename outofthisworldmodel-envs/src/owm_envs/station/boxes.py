@@ -1,7 +1,9 @@
 """Axis-aligned boxes around solids: cover each part finely, then merge to a requested number with little added volume.
 
-A box is a pair of corners, lower and upper, in metres. The measure of a merge is the empty volume it takes in, each
-cubic metre weighted by how much it would be missed, read from a summed-volume table in constant time.
+A box is a pair of corners, lower and upper, in metres. The measure of a merge is the empty volume it takes in as a
+chaser feels it: volume where the centre of its bounding sphere could have been. So boxes and solids are both grown by
+the sphere's reach before they are compared, and a sliver counts as much as it blocks. Each cubic metre is weighted by
+how much it would be missed; a summed-volume table gives the sum for any box in constant time.
 """
 
 import math
@@ -102,16 +104,19 @@ def _ball_boxes(part: Part) -> Boxes:
 
 
 class Emptiness(NamedTuple):
-    """A summed-volume table of weighted empty space: how much of it any box holds, by eight look-ups."""
+    """A summed-volume table of weighted empty space: how much of it a box takes, by eight look-ups."""
 
     origin: Float[np.ndarray, "3"]
     spacing: float
+    reach: float
+    """Boxes are grown by this on all sides [m], as the solids were."""
     table: Float[np.ndarray, "nx ny nz"]
     """Integral of the density from the origin to each node of the grid."""
 
     def of(self, boxes: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "..."]:
-        """Weighted empty volume of boxes [m3], exact for a density that is constant in each cell."""
-        place = (boxes - self.origin) / self.spacing
+        """Weighted empty volume of grown boxes [m3], exact for a density that is constant in each cell."""
+        grown = np.stack([boxes[..., 0, :] - self.reach, boxes[..., 1, :] + self.reach], axis=-2)
+        place = (grown - self.origin) / self.spacing
         shape = np.array(self.table.shape)
         cell = np.clip(place.astype(np.int64), 0, shape - 2)
         part = np.clip(place - cell, 0.0, 1.0)
@@ -135,30 +140,56 @@ class Emptiness(NamedTuple):
         return total
 
 
+class Grid(NamedTuple):
+    """Cubic cells around some boxes, with room to grow them."""
+
+    origin: Float[np.ndarray, "3"]
+    spacing: float
+    cells: int
+    """How many cells solids and boxes are grown by."""
+    shape: tuple[int, int, int]
+
+    def centres(self) -> list[np.ndarray]:
+        """Coordinates of the cells' centres along each axis [m]."""
+        return [start + self.spacing * (np.arange(n) + 0.5) for start, n in zip(self.origin, self.shape)]
+
+
+def grid_around(boxes: Boxes, spacing: float, reach: float) -> Grid:
+    """Lay a grid around boxes; `reach` is rounded to whole cells."""
+    cells = round(reach / spacing)
+    origin = np.floor(boxes[:, 0].min(axis=0) / spacing) * spacing - (cells + 1) * spacing
+    size = np.ceil((boxes[:, 1].max(axis=0) - origin) / spacing).astype(int) + cells + 1
+    return Grid(origin, spacing, cells, tuple(size.tolist()))
+
+
 def emptiness(
-    occupancy: Float[np.ndarray, "nx ny nz"],
-    origin: Float[np.ndarray, "3"],
-    spacing: float,
-    weight: Float[np.ndarray, "nx ny nz"] | float = 1.0,
+    occupancy: Float[np.ndarray, "nx ny nz"], grid: Grid, weight: Float[np.ndarray, "nx ny nz"] | float = 1.0
 ) -> Emptiness:
-    """Sum up the weighted empty space of a grid of cells.
+    """Sum up the weighted empty space of a grid, of which solids and what is too near to them are no part.
 
     Args:
         occupancy: share of each cell that is solid, 0 to 1.
-        origin: (3,) lower corner of the first cell [m].
-        spacing: edge of a cell [m].
+        grid: its place.
         weight: how much a cubic metre of each cell counts.
     """
-    density = (1.0 - occupancy) * weight * spacing**3
-    table = np.zeros(tuple(n + 1 for n in occupancy.shape))
+    grown = occupancy.copy()
+    for axis in range(3):
+        still = np.moveaxis(grown.copy(), axis, 0)
+        moving = np.moveaxis(grown, axis, 0)
+        for shift in range(1, grid.cells + 1):
+            np.maximum(moving[shift:], still[:-shift], out=moving[shift:])
+            np.maximum(moving[:-shift], still[shift:], out=moving[:-shift])
+    density = (1.0 - grown) * weight * grid.spacing**3
+    table = np.zeros(tuple(n + 1 for n in grid.shape))
     table[1:, 1:, 1:] = density.cumsum(axis=0).cumsum(axis=1).cumsum(axis=2)
-    return Emptiness(np.asarray(origin, np.float64), float(spacing), table)
+    return Emptiness(np.asarray(grid.origin, np.float64), grid.spacing, grid.cells * grid.spacing, table)
 
 
-def occupancy_of(boxes: Boxes, origin: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
+def occupancy_of(boxes: Boxes, grid: Grid) -> Float[np.ndarray, "nx ny nz"]:
     """Share of each cell of a grid that boxes fill, their overlaps counted once at most where a cell is full."""
+    shape = grid.shape
     filled = np.zeros(shape)
-    for lower, upper in (boxes - origin) / spacing:
+    for lower, upper in (boxes - grid.origin) / grid.spacing:
         first = np.maximum(np.floor(lower).astype(int), 0)
         last = np.minimum(np.ceil(upper).astype(int), shape)
         edges = [np.arange(a, b) for a, b in zip(first, last)]

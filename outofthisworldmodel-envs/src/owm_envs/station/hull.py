@@ -10,14 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from owm_envs.station.boxes import cover, distance_to, emptiness, merge, occupancy_of, outer_samples, trim
+from owm_envs.station.boxes import cover, distance_to, emptiness, grid_around, merge, occupancy_of, outer_samples, trim
 from owm_envs.station.geometry import nearest_part, sample_surface
 from owm_envs.station.parts import PARTS, Part
 from owm_envs.station.ports import goal_poses
 
 BOXES = 313
 _KEPT = Path(__file__).with_name("hull.csv")
-_SPACING = 0.5  # of the grid on which empty space is counted [m]
+_SPACING = 0.45  # of the grid on which empty space is counted [m]
+_REACH = 2.25  # radius of the chaser's bounding sphere [m]
 _NEAR = 10.0  # within this distance of a hold point [m] empty space counts in full
 
 
@@ -49,15 +50,12 @@ def build_hull(parts: tuple[Part, ...] = PARTS, count: int = BOXES) -> Float[np.
         (count, 2, 3) float64 lower and upper corners [m], whole millimetres, sorted by lower corner.
     """
     atoms = np.concatenate([part_boxes(part) for part in parts])
-    origin = np.floor(atoms[:, 0].min(axis=0)) - _SPACING
-    shape = tuple(np.ceil((atoms[:, 1].max(axis=0) - origin) / _SPACING + 1.0).astype(int).tolist())
-    filled = occupancy_of(atoms, origin, _SPACING, shape)
-    axes = [start + _SPACING * (np.arange(n) + 0.5) for start, n in zip(origin, shape)]
-    nearest = np.full(shape, np.inf)
+    grid = grid_around(atoms, _SPACING, _REACH)
+    nearest = np.full(grid.shape, np.inf)
     for goal in goal_poses()[:, :3]:
-        x, y, z = ((a - g) ** 2 for a, g in zip(axes, goal))
+        x, y, z = ((a - g) ** 2 for a, g in zip(grid.centres(), goal))
         nearest = np.minimum(nearest, x[:, None, None] + y[:, None] + z)
-    space = emptiness(filled, origin, _SPACING, 1.0 / (1.0 + nearest / _NEAR**2))
+    space = emptiness(occupancy_of(atoms, grid), grid, 1.0 / (1.0 + nearest / _NEAR**2))
     boxes = trim(merge(atoms, count, space), atoms)
     return boxes[np.lexsort(np.round(boxes.reshape(-1, 6).T[::-1], 3))]
 

@@ -107,6 +107,9 @@ _HALF_SPAN = 0.5 * 6170.0**0.5
 _ROOT = 4.2  # distance from the hub to the inner edge of the blankets [m]
 
 
+_MAST = "lattice mast, slimmer here than its longerons stand apart (1.1 m)"
+
+
 def _at(x: float, along: float) -> Vector:
     return (x, _HUB[0] + along * SUN[1], _HUB[1] + along * SUN[2])
 
@@ -118,7 +121,7 @@ def _wing(label: str, x: float, sign: float) -> tuple[Part, ...]:
     parts = [
         rod(f"{name}_beta_joint", _at(x, sign * 1.0), _at(x, sign * 2.6), 1.3, "metal", ESTIMATE),
         rod(f"{name}_canister", _at(x, sign * 2.5), _at(x, sign * 4.4), 1.15, "equipment", ESTIMATE),
-        rod(f"{name}_mast", _at(x, sign * 4.3), _at(x, sign * (tip - 0.1)), 0.8, "truss", "mast; diameter estimated"),
+        rod(f"{name}_mast", _at(x, sign * (_ROOT + 0.2)), _at(x, sign * (tip - 0.2)), 0.45, "truss", _MAST),
     ]
     for half, side in (("starboard", -1.0), ("port", 1.0)):
         middle = x + side * 3.85
