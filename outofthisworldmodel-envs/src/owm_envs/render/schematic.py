@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from owm_envs.station import PARTS, PORTS, part_boxes
+from owm_envs.station import PARTS, PORTS, hull_boxes, nearest_part
 
 _BACKGROUND = (13, 17, 28)
 _PANEL = (19, 25, 40)
@@ -62,27 +62,27 @@ _SIDE = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0))  # from starboard: forward to the ri
 _TOP = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0))  # from zenith: forward to the right, port up
 
 
+_COLOURS = {
+    "radiator": (232, 234, 238),
+    "array": (58, 92, 176),
+    "array_blue": (70, 78, 150),
+    "truss": (150, 156, 166),
+    "equipment": (150, 156, 166),
+    "russian": (186, 190, 172),
+    "metal": (120, 124, 134),
+    "dark": (120, 124, 134),
+}  # by the material of a box's nearest part
+
+
 @functools.cache
 def _part_colours() -> dict[bytes, tuple[int, int, int]]:
-    """A base colour for each of the station's boxes, found by its corners."""
-    colours = {}
-    for part in PARTS:
-        name = part.name
-        if "radiator" in name:
-            colour = (232, 234, 238)
-        elif "array" in name and "mast" not in name:
-            colour = (58, 92, 176) if "zvezda" not in name and "zarya" not in name else (70, 78, 150)
-        elif name.startswith(("truss", "s0", "z1", "elc", "external", "array")):
-            colour = (150, 156, 166)
-        elif name.startswith(("zarya", "zvezda", "poisk", "pirs", "rassvet")):
-            colour = (186, 190, 172)
-        elif name.startswith(("pma", "cupola", "quest_gas")):
-            colour = (120, 124, 134)
-        else:
-            colour = (206, 210, 216)
-        for box in part_boxes(part):
-            colours[box.astype(np.float32).tobytes()] = colour
-    return colours
+    """A base colour for each of the station's boxes, found by its corners: that of the part nearest to its middle."""
+    boxes = hull_boxes()
+    _, owners = nearest_part(PARTS, boxes.mean(axis=1))
+    return {
+        box.astype(np.float32).tobytes(): _COLOURS.get(PARTS[owner].material, (206, 210, 216))
+        for box, owner in zip(boxes, owners)
+    }
 
 
 def _draw_boxes(boxes: np.ndarray, view: _View) -> tuple[np.ndarray, np.ndarray]:

@@ -193,9 +193,7 @@ def occupancy_of(boxes: Boxes, grid: Grid) -> Float[np.ndarray, "nx ny nz"]:
         first = np.maximum(np.floor(lower).astype(int), 0)
         last = np.minimum(np.ceil(upper).astype(int), shape)
         edges = [np.arange(a, b) for a, b in zip(first, last)]
-        x, y, z = (
-            np.minimum(e + 1.0, high) - np.maximum(e, low) for e, low, high in zip(edges, lower, upper)
-        )
+        x, y, z = (np.minimum(e + 1.0, high) - np.maximum(e, low) for e, low, high in zip(edges, lower, upper))
         cut = tuple(slice(a, b) for a, b in zip(first, last))
         filled[cut] = np.minimum(filled[cut] + x[:, None, None] * y[:, None] * z, 1.0)
     return filled
@@ -204,9 +202,7 @@ def occupancy_of(boxes: Boxes, grid: Grid) -> Float[np.ndarray, "nx ny nz"]:
 # ---------------------------------------------------------------- merge
 
 
-def merge(
-    boxes: Boxes, count: int, space: Emptiness, progress: Callable[[int, int], None] | None = None
-) -> Boxes:
+def merge(boxes: Boxes, count: int, space: Emptiness, progress: Callable[[int, int], None] | None = None) -> Boxes:
     """Merge boxes pairwise until `count` are left, each time the pair whose common box adds least empty space.
 
     Every given box ends up whole inside one of the result's boxes. Costs are compared after rounding to a millionth,

@@ -181,26 +181,25 @@ def voxelise(triangles: Float[np.ndarray, "T 3 3"], origin: np.ndarray, spacing:
     """
     shape = np.ceil((triangles.reshape(-1, 3).max(axis=0) - origin) / spacing).astype(np.int64) + 1
     found = np.zeros(0, np.int64)
-    lows, highs = np.zeros((0, 3)), np.zeros((0, 3))
-    for start in range(0, len(triangles), 50_000):
-        pieces = _small_pieces(triangles[start : start + 50_000], 0.5 * spacing)
+    limits = np.zeros((0, 6))  # lower corner and negative upper corner, so that one minimum serves both
+    for start in range(0, len(triangles), 20_000):
+        pieces = _small_pieces(triangles[start : start + 20_000], 0.5 * spacing)
         low, high = pieces.min(axis=1), pieces.max(axis=1)
         first = np.floor((low - origin) / spacing).astype(np.int64)
         last = np.maximum(np.ceil((high - origin) / spacing).astype(np.int64) - 1, first)
-        keys, lower, upper = [found], [lows], [highs]
         for offset in np.ndindex(2, 2, 2):
-            touched = np.all(first + offset <= last, axis=1)
+            touched = np.flatnonzero(np.all(first + offset <= last, axis=1))
             cell = first[touched] + offset
             corner = origin + cell * spacing
-            keys.append((cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2])
-            lower.append(np.maximum(low[touched], corner))
-            upper.append(np.minimum(high[touched], corner + spacing))
-        found, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-        lows, highs = np.full((len(found), 3), np.inf), np.full((len(found), 3), -np.inf)
-        np.minimum.at(lows, inverse, np.concatenate(lower))
-        np.maximum.at(highs, inverse, np.concatenate(upper))
+            inside = [np.maximum(low[touched], corner), -np.minimum(high[touched], corner + spacing)]
+            keys = np.concatenate([found, (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]])
+            order = np.argsort(keys, kind="stable")
+            keys = keys[order]
+            starts = np.flatnonzero(np.diff(keys, prepend=-1))
+            both = np.concatenate([limits, np.concatenate(inside, axis=1)])[order]
+            found, limits = keys[starts], np.minimum.reduceat(both, starts)
     index = np.stack(np.unravel_index(found, shape), axis=1)
-    return Voxels(index, np.stack([lows, highs], axis=1))
+    return Voxels(index, np.stack([limits[:, :3], -limits[:, 3:]], axis=1))
 
 
 def _blocks(voxels: Voxels, most: int) -> Boxes:
@@ -303,7 +302,9 @@ def boxes_from_mesh(
     cells = float(np.prod((whole[1] - whole[0] + 2.0 * reach) / voxel + 3.0))
     if cells > _CELLS:
         least = voxel * (cells / _CELLS) ** (1.0 / 3.0)
-        raise ValueError(f"voxel {voxel} m makes {cells:.2g} cells; at least {least:.2f} m keeps them under {_CELLS:.0g}")
+        raise ValueError(
+            f"voxel {voxel} m makes {cells:.2g} cells; at least {least:.2f} m keeps them under {_CELLS:.0g}"
+        )
     progress("voxelising")
     grid = grid_around(whole[None], voxel, reach)
     voxels = voxelise(triangles, grid.origin, voxel)

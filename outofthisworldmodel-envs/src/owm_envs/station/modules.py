@@ -111,9 +111,25 @@ _NODES = (
     box("z1_truss", (-1.6, 2.1), (-1.6, 1.9), (-0.6, 3.6), "truss", PUBLISHED),
     box("z1_gyroscopes", (-1.3, 1.8), (1.9, 3.1), (0.6, 3.2), "equipment", ESTIMATE),
     rod("z1_antenna_boom", (0.2, 0.5, 3.6), (0.2, 0.5, 6.4), 0.25, "metal", ESTIMATE),
-    rod("z1_antenna_dish", (0.2, 0.5, 6.9), (0.2, 0.35, 6.4), 1.83, "blanket", "Ku-band dish 1.83 m; place estimated", 0.5),
+    rod(
+        "z1_antenna_dish",
+        (0.2, 0.5, 6.9),
+        (0.2, 0.35, 6.4),
+        1.83,
+        "blanket",
+        "Ku-band dish 1.83 m; place estimated",
+        0.5,
+    ),
     rod("z1_antenna_boom_2", (1.5, 0.9, 3.6), (1.9, 1.2, 5.4), 0.2, "metal", ESTIMATE),
-    rod("z1_antenna_dish_2", (1.9, 1.2, 5.9), (1.9, 1.1, 5.4), 1.83, "blanket", "Ku-band dish 1.83 m; place estimated", 0.5),
+    rod(
+        "z1_antenna_dish_2",
+        (1.9, 1.2, 5.9),
+        (1.9, 1.1, 5.4),
+        1.83,
+        "blanket",
+        "Ku-band dish 1.83 m; place estimated",
+        0.5,
+    ),
 )
 
 

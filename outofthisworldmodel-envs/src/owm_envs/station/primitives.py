@@ -29,7 +29,7 @@ MATERIALS: dict[str, Material] = {
     "foil": Material((0.83, 0.68, 0.42), 0.6, 0.40),  # golden insulation
     "equipment": Material((0.80, 0.80, 0.78), 0.0, 0.70),
     "radiator": Material((0.96, 0.96, 0.97), 0.0, 0.50),
-    "array": Material((0.70, 0.42, 0.14), 0.3, 0.40),  # gold-brown blankets of the large arrays
+    "array": Material((0.66, 0.45, 0.20), 0.3, 0.40),  # gold-brown blankets of the large arrays
     "array_blue": Material((0.15, 0.18, 0.36), 0.3, 0.30),  # cells of the Russian arrays and the chaser's
     "glass": Material((0.10, 0.14, 0.20), 0.0, 0.10),
     "arm": Material((0.93, 0.92, 0.88), 0.0, 0.55),
@@ -91,7 +91,13 @@ def tube(name: str, axis: str, span: Pair, place: Pair, d0: float, d1: float, ma
 
 
 def rod(
-    name: str, start: Vector, end: Vector, diameter: float, material: str, source: str, end_diameter: float | None = None
+    name: str,
+    start: Vector,
+    end: Vector,
+    diameter: float,
+    material: str,
+    source: str,
+    end_diameter: float | None = None,
 ) -> Part:
     """A cylinder or cone between two points."""
     d1 = diameter if end_diameter is None else end_diameter

@@ -51,7 +51,16 @@ def _joint(label: str, start: float, end: float) -> tuple[Part, ...]:
     middle = 0.5 * (start + end)
     return (
         tube(f"truss_{label}_drum", "x", (start, end), _LINE, 2.8, 2.8, "metal", ESTIMATE),
-        tube(f"truss_{label}_race", "x", (middle - 0.3, middle + 0.3), _LINE, 3.3, 3.3, "truss", "ring 3.2 m; place estimated"),
+        tube(
+            f"truss_{label}_race",
+            "x",
+            (middle - 0.3, middle + 0.3),
+            _LINE,
+            3.3,
+            3.3,
+            "truss",
+            "ring 3.2 m; place estimated",
+        ),
     )
 
 
@@ -267,7 +276,14 @@ _OUTFITTING = (
 # Mobile base on the forward face of S1, the arm on its starboard fixture, folded forward of the truss.
 _SHOULDER, _ELBOW, _WRIST = (-11.3, -10.1, 4.3), (-16.4, -11.2, 9.0), (-20.5, -11.0, 3.35)
 _ROBOTS = (
-    box("mobile_transporter", (-14.2, -11.4), (-8.3, -7.0), (1.4, 4.6), "metal", "2.7 m by 2.6 m by 1.0 m class; " + POSE),
+    box(
+        "mobile_transporter",
+        (-14.2, -11.4),
+        (-8.3, -7.0),
+        (1.4, 4.6),
+        "metal",
+        "2.7 m by 2.6 m by 1.0 m class; " + POSE,
+    ),
     box("mobile_base", (-15.6, -10.0), (-9.3, -8.3), (1.2, 4.8), "blanket", "5.7 m by 4.5 m by 2.9 m class; " + POSE),
     rod("canadarm2_base", (-11.3, -9.3, 4.0), (-11.3, -10.1, 4.0), 0.6, "metal", POSE),
     ball("canadarm2_shoulder", _SHOULDER, 0.75, "arm", POSE),
@@ -281,8 +297,22 @@ _ROBOTS = (
         part
         for label, side in (("a", -1.0), ("b", 1.0))
         for part in (
-            rod(f"dextre_{label}_upper", (-15.1 + side * 0.5, -10.2, 3.6), (-15.1 + side * 1.3, -11.1, 2.2), 0.25, "arm", POSE),
-            rod(f"dextre_{label}_fore", (-15.1 + side * 1.3, -11.1, 2.2), (-15.1 + side * 0.7, -10.8, 0.6), 0.25, "arm", POSE),
+            rod(
+                f"dextre_{label}_upper",
+                (-15.1 + side * 0.5, -10.2, 3.6),
+                (-15.1 + side * 1.3, -11.1, 2.2),
+                0.25,
+                "arm",
+                POSE,
+            ),
+            rod(
+                f"dextre_{label}_fore",
+                (-15.1 + side * 1.3, -11.1, 2.2),
+                (-15.1 + side * 0.7, -10.8, 0.6),
+                0.25,
+                "arm",
+                POSE,
+            ),
         )
     ),
 )
