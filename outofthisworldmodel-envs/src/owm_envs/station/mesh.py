@@ -177,13 +177,13 @@ class Voxels(NamedTuple):
 def voxelise(triangles: Float[np.ndarray, "T 3 3"], origin: np.ndarray, spacing: float) -> Voxels:
     """Find every cell that a surface touches; no point of it is missed.
 
-    Triangles are cut into pieces shorter than half a cell, and each piece marks the cells its bounds touch.
+    Triangles are cut into pieces no longer than a cell, and each piece marks the cells its bounds touch.
     """
     shape = np.ceil((triangles.reshape(-1, 3).max(axis=0) - origin) / spacing).astype(np.int64) + 1
     found = np.zeros(0, np.int64)
     limits = np.zeros((0, 6))  # lower corner and negative upper corner, so that one minimum serves both
     for start in range(0, len(triangles), 20_000):
-        pieces = _small_pieces(triangles[start : start + 20_000], 0.5 * spacing)
+        pieces = _small_pieces(triangles[start : start + 20_000], spacing)
         low, high = pieces.min(axis=1), pieces.max(axis=1)
         first = np.floor((low - origin) / spacing).astype(np.int64)
         last = np.maximum(np.ceil((high - origin) / spacing).astype(np.int64) - 1, first)

@@ -124,7 +124,7 @@ def _cast(parts: tuple[Part, ...], camera: _Camera) -> _Image:
 
 
 def _texture(parts: tuple[Part, ...], image: _Image) -> np.ndarray:
-    """Base colour of every pixel with a part, linear light: the material's, with seams where panels fold and shields join."""
+    """Linear base colour of every pixel with a part: its material's, with seams where panels fold and shields join."""
     names = list(MATERIALS)
     palette = np.array([MATERIALS[part.material].colour for part in parts]) ** 2.2
     kinds = np.array([names.index(part.material) for part in parts])
@@ -222,13 +222,13 @@ def _box_edges(boxes: np.ndarray) -> np.ndarray:
 
 # Where a port's name stands: metres along the corridor, and pixels to the side (negative: to the left of it).
 _LABELS = {
-    "harmony_forward": (20.0, 8),
+    "harmony_forward": (13.0, 8),
     "harmony_zenith": (26.0, 8),
     "harmony_nadir": (18.0, 8),
-    "zvezda_aft": (22.0, -8),
+    "zvezda_aft": (13.0, -8),
     "poisk_zenith": (26.0, 8),
     "pirs_nadir": (21.0, -8),
-    "rassvet_nadir": (28.0, -8),
+    "rassvet_nadir": (31.0, -8),
     "unity_nadir": (25.0, 8),
 }
 
@@ -258,7 +258,7 @@ def draw_station(
     boxes = hull_boxes() if boxes is None else boxes
     width, height = size
     unit = min(width / 1600.0, height / 1000.0)
-    camera = _camera(_FROM, 11.2 * unit, size)
+    camera = _camera(_FROM, 10.1 * unit, size)
     fine = camera._replace(scale=_FINE * camera.scale, size=(_FINE * width, _FINE * height))
     colour, depth = _shade(parts, fine)
     seen = np.isfinite(depth).astype(np.float32)
@@ -278,11 +278,16 @@ def draw_station(
     canvas = canvas * (1.0 - alpha) + layer[..., :3] * alpha
     canvas = np.ascontiguousarray(canvas.clip(0.0, 255.0).astype(np.uint8))
 
-    def write(text: str, at: tuple[float, float], scale: float, tone: tuple, right: bool = False) -> None:
+    def write(
+        text: str, at: tuple[float, float], scale: float, tone: tuple, right: bool = False, plate: bool = False
+    ) -> None:
         font, thick = cv2.FONT_HERSHEY_SIMPLEX, max(round(unit), 1)
-        if right:
-            at = (at[0] - cv2.getTextSize(text, font, scale * unit, thick)[0][0], at[1])
-        place = (round(at[0]), round(at[1]))
+        (wide, high), _ = cv2.getTextSize(text, font, scale * unit, thick)
+        place = (round(at[0] - wide * right), round(at[1]))
+        if plate:  # the text stands out against whatever is behind
+            x, y, pad = place[0], place[1], round(5 * unit)
+            window = canvas[max(y - high - pad, 0) : y + pad, max(x - pad, 0) : x + wide + pad]
+            window[:] = (0.3 * window + 0.7 * _BACKGROUND[1]).astype(np.uint8)
         cv2.putText(canvas, text, place, font, scale * unit, tone, thick, cv2.LINE_AA)
 
     fixed = lambda pixel: tuple(np.round(np.asarray(pixel) * 16.0).astype(int).tolist())
@@ -298,7 +303,7 @@ def draw_station(
         cv2.line(canvas, fixed(centre), fixed(start), tone, 1, cv2.LINE_AA, 4)
         cv2.circle(canvas, fixed(centre), round(2.25 * camera.scale * 16), tone, stroke, cv2.LINE_AA, 4)
         cv2.circle(canvas, fixed(start), round(3.5 * unit * 16), tone, -1, cv2.LINE_AA, 4)
-        write(port.name, (end[0] + side * unit, end[1] + 5 * unit), 0.52, tone, side < 0)
+        write(port.name, (end[0] + side * unit, end[1] + 5 * unit), 0.52, tone, side < 0, True)
     _legend(canvas, camera, unit, len(boxes), write)
     return canvas
 
