@@ -185,20 +185,22 @@ def test_poisk_and_pirs_are_coaxial():
             np.testing.assert_allclose(part.position[:2], (0.233, 20.129), atol=1e-9)
 
 
+INVENTORY = """
+    unity harmony tranquility destiny columbus kibo_pressurised kibo_logistics kibo_exposed kibo_arm leonardo
+    cupola quest_equipment quest_crew pma_1 pma_2 pma_3 z1_truss zarya zvezda poisk pirs rassvet strela_1 strela_2
+    truss_s0 truss_p1 truss_s1 truss_p3 truss_s3 truss_p4 truss_s4 truss_p5 truss_s5 truss_p6 truss_s6 alpha_joint
+    ams_02 elc_1 elc_2 elc_3 elc_4 stowage_platform_1 stowage_platform_2 stowage_platform_3 canadarm2 dextre
+    mobile_base trailing_thermal
+"""
+
+
 def test_the_inventory_is_complete():
     names = " ".join(part.name for part in PARTS)
-    for (
-        word
-    ) in """unity harmony tranquility destiny columbus kibo_pressurised kibo_logistics kibo_exposed kibo_arm leonardo
-            cupola quest_equipment quest_crew pma_1 pma_2 pma_3 z1_truss zarya zvezda poisk pirs rassvet strela_1 strela_2
-            truss_s0 truss_p1 truss_s1 truss_p3 truss_s3 truss_p4 truss_s4 truss_p5 truss_s5 truss_p6 truss_s6 alpha_joint
-            ams_02 elc_1 elc_2 elc_3 elc_4 stowage_platform_1 stowage_platform_2 stowage_platform_3 canadarm2 dextre
-            mobile_base trailing_thermal""".split():
+    for word in INVENTORY.split():
         assert word in names, word
-    assert sum(part.material == "array" for part in PARTS) == 16  # two blankets a wing
-    assert (
-        sum(part.name.startswith(("radiator_p1", "radiator_s1")) and part.primitive == "panel" for part in PARTS) == 6
-    )
+    panels = [part.name for part in PARTS if part.primitive == "panel"]
+    assert sum("blanket" in name for name in panels) == 16  # two a wing
+    assert sum(name.startswith(("radiator_p1", "radiator_s1")) for name in panels) == 6
 
 
 def test_chaser_fits_its_bounding_sphere_but_for_trunk_and_arrays():
@@ -221,14 +223,14 @@ SHAPES = [
 @pytest.mark.parametrize("part", SHAPES, ids=lambda part: part.name)
 def test_distances_and_bounds_agree_with_a_cloud_of_surface_points(part):
     rng = np.random.default_rng(1)
-    cloud = sample_surface(part, 100_000, rng)
+    cloud = sample_surface(part, 40_000, rng)
     np.testing.assert_allclose(signed_distance(part, cloud), 0.0, atol=1e-9)
-    np.testing.assert_allclose((cloud.min(axis=0), cloud.max(axis=0)), bounds(part), atol=0.03)
+    np.testing.assert_allclose((cloud.min(axis=0), cloud.max(axis=0)), bounds(part), atol=0.05)
     places = cloud.mean(axis=0) + rng.uniform(-3.0, 3.0, (500, 3))
     found = signed_distance(part, places)
-    np.testing.assert_allclose(np.abs(found), cKDTree(cloud).query(places)[0], atol=0.03)
+    np.testing.assert_allclose(np.abs(found), cKDTree(cloud).query(places)[0], atol=0.05)
     # Convex: a point is inside if and only if no direction separates it from the surface.
-    ways = rng.normal(size=(2000, 3))
+    ways = rng.normal(size=(500, 3))
     outside = np.any(places @ ways.T > (cloud @ ways.T).max(axis=0) + 1e-9, axis=1)
     assert np.all(outside[found > 0.3]) and not np.any(outside[found < 0.0])
     assert np.any(found < 0.0) or part.name == "panel"
@@ -275,7 +277,7 @@ def test_empty_volume_of_a_box_is_what_counting_gives():
     boxes = random_boxes(rng, 20)
     density = (1.0 - filled) * weight
     expected = [np.sum(density * occupancy_of(box[None], grid)) * 0.5**3 for box in boxes]
-    np.testing.assert_allclose(space.of(boxes), expected, rtol=1e-9)
+    np.testing.assert_allclose(space.of(boxes), expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 7, 40, 60])

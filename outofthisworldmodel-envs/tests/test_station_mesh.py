@@ -1,3 +1,5 @@
+import re
+
 import hypothesis
 import hypothesis.strategies as st
 import numpy as np
@@ -124,9 +126,9 @@ def test_import_command_writes_boxes_that_are_read_back(tmp_path, capsys):
     ("content", "arguments", "message"),
     [
         (None, [], "no such mesh"),
-        (b"this is no mesh", [], "cannot be read as a mesh"),
+        (b"this is no mesh", [], "cannot be read|no triangles"),
         (b"solid x\nendsolid x\n", [], "cannot be read|no triangles"),
-        (109_000.0, [], r"109e\+05 m across.*metres per unit"),
+        (109_000.0, [], "109,000 m across.*metres per unit"),
         (5.0, ["--up", "w"], "up must be one of x, y, z"),
         (5.0, ["--scale", "0"], "scale must be a positive"),
         (5.0, ["--boxes", "0"], "boxes must be at least 1"),
@@ -144,9 +146,14 @@ def test_bad_input_ends_with_code_2_and_says_why(tmp_path, capsys, content, argu
         main(["station", "import", str(path), *arguments])
     assert stop.value.code == 2
     error = " ".join(capsys.readouterr().err.split())
-    import re
-
     assert re.search(message, error), error
+
+
+def test_a_damaged_glb_is_named(tmp_path):
+    path = tmp_path / "damaged.glb"
+    path.write_bytes(b"glTF" + bytes(40))
+    with pytest.raises(ValueError, match="damaged.glb cannot be read as a mesh"):
+        load_triangles(path)
 
 
 def test_export_and_show_commands(tmp_path, capsys):

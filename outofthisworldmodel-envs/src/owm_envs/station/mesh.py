@@ -144,7 +144,7 @@ def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) 
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     if not 1.0 < extent < 1000.0:
         raise ValueError(
-            f"{path} is {extent:.3g} m across, which no station is; scale gives the metres per unit "
+            f"{path} is {extent:,.6g} m across, which no station is; scale gives the metres per unit "
             f"(0.001 for millimetres, 0.0254 for inches; now {scale:g})"
         )
     return triangles
