@@ -152,7 +152,7 @@ def test_bad_input_ends_with_code_2_and_says_why(tmp_path, capsys, content, argu
 def test_a_damaged_glb_is_named(tmp_path):
     path = tmp_path / "damaged.glb"
     path.write_bytes(b"glTF" + bytes(40))
-    with pytest.raises(ValueError, match="damaged.glb cannot be read as a mesh"):
+    with pytest.raises(ValueError, match=r"damaged\.glb cannot be read as a mesh"):
         load_triangles(path)
 
 

@@ -258,7 +258,7 @@ def draw_station(
     boxes = hull_boxes() if boxes is None else boxes
     width, height = size
     unit = min(width / 1600.0, height / 1000.0)
-    camera = _camera(_FROM, 10.1 * unit, size)
+    camera = _camera(_FROM, 9.7 * unit, size)
     fine = camera._replace(scale=_FINE * camera.scale, size=(_FINE * width, _FINE * height))
     colour, depth = _shade(parts, fine)
     seen = np.isfinite(depth).astype(np.float32)
