@@ -291,7 +291,7 @@ def draw_station(
         cv2.putText(canvas, text, place, font, scale * unit, tone, thick, cv2.LINE_AA)
 
     fixed = lambda pixel: tuple(np.round(np.asarray(pixel) * 16.0).astype(int).tolist())
-    stroke = max(round(2 * unit), 1)
+    stroke = max(round(2 * unit), 2)
     for port, goal in zip(PORTS, goal_poses()):
         tone, normal = _SPLIT[port.split], np.asarray(port.normal)
         length, side = _LABELS[port.name]
