@@ -71,18 +71,21 @@ _COLOURS = {
     "russian": (186, 190, 172),
     "metal": (120, 124, 134),
     "dark": (120, 124, 134),
-}  # by the material of a box's nearest part
+}  # by material
 
 
 @functools.cache
 def _part_colours() -> dict[bytes, tuple[int, int, int]]:
-    """A base colour for each of the station's boxes, found by its corners: that of the part nearest to its middle."""
+    """A base colour for each of the station's boxes, found by its corners: that of the commonest material in it."""
     boxes = hull_boxes()
-    _, owners = nearest_part(PARTS, boxes.mean(axis=1))
-    return {
-        box.astype(np.float32).tobytes(): _COLOURS.get(PARTS[owner].material, (206, 210, 216))
-        for box, owner in zip(boxes, owners)
-    }
+    signs = np.stack(np.meshgrid(*[(-0.7, 0.0, 0.7)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    places = boxes.mean(axis=1) + 0.5 * signs * (boxes[:, 1] - boxes[:, 0])
+    _, owners = nearest_part(PARTS, places.reshape(-1, 3))
+    colours = {}
+    for box, near in zip(boxes, owners.reshape(len(signs), -1).T):
+        material = max(names := [PARTS[i].material for i in near], key=names.count)
+        colours[box.astype(np.float32).tobytes()] = _COLOURS.get(material, (206, 210, 216))
+    return colours
 
 
 def _draw_boxes(boxes: np.ndarray, view: _View) -> tuple[np.ndarray, np.ndarray]:
