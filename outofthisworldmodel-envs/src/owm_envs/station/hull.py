@@ -1,6 +1,7 @@
 """The station as the collision test sees it: 313 axis-aligned boxes, made from the table of parts.
 
-`build_hull` makes them in about half a minute; what it made is kept beside this file, and a test makes it again.
+`build_hull` makes them in about ten seconds; what it made is kept beside this file, and a test makes it again. After a
+change of the table: `save_hull("hull.csv", build_hull())` in this folder.
 """
 
 import functools
