@@ -10,6 +10,7 @@ import numpy as np
 from owm.evaluation.flights import Flights
 from owm_envs.render.schematic import draw_schematic
 from owm_envs.station import goal_poses, hull_boxes, port_index
+from owm_envs.station.picture import draw_station
 
 demo = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/demo")
 here = Path(__file__).parent
@@ -29,3 +30,5 @@ picture = draw_schematic(hull_boxes(), goal_poses(), path[shown], path[: shown +
 cv2.imwrite(str(here / "approach.png"), picture[..., ::-1])
 shutil.copy(demo / "figures" / "trajectories_world_model.png", here / "trajectories.png")
 shutil.copy(demo / "figures" / "prediction.png", here / "prediction.png")
+station = draw_station((1120, 700))
+cv2.imwrite(str(here / "station.png"), station[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])

@@ -127,22 +127,110 @@ def ports() -> None:
     Console(width=110).print(table)
 
 
+def station_export(out: Annotated[Path, tyro.conf.Positional], chaser: bool = False) -> None:
+    """Write the station's table of parts as a mesh (binary glTF, y up).
+
+    Args:
+        out: File to write, .glb.
+        chaser: Write the chaser, a Dragon, instead.
+    """
+    from owm_envs.station import CHASER, PARTS
+    from owm_envs.station.mesh import export
+
+    parts = CHASER if chaser else PARTS
+    print(f"{out}: {len(parts)} parts, {export(out, parts) / 1e3:.0f} kB")
+
+
+def station_import(
+    mesh: Annotated[Path, tyro.conf.Positional],
+    boxes: int = 313,
+    voxel: float = 0.5,
+    scale: float = 1.0,
+    up: str | None = None,
+    out: Path | None = None,
+) -> None:
+    """Turn a mesh of your own into collision boxes, and report how well they fit.
+
+    Args:
+        mesh: File that trimesh reads (glb, obj, stl, ply, ...), in the station frame once scaled and turned.
+        boxes: Number of boxes to make.
+        voxel: Edge of a voxel in metres.
+        scale: Metres per unit of the file.
+        up: The file's axis that points to zenith: x, y or z; y for glTF and z for other files by default.
+        out: File to write the boxes to, a line each; not written if absent.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from owm_envs.station.hull import save_hull
+    from owm_envs.station.mesh import boxes_from_mesh, load_triangles
+
+    console = Console(stderr=True)
+    triangles = load_triangles(mesh, scale, up)
+    report = boxes_from_mesh(triangles, boxes, voxel, progress=lambda text: console.print(f"{text} ..."))
+    table = Table(title=str(mesh), show_header=False)
+    for name, value in (
+        ("triangles", f"{report.triangles:,}"),
+        ("voxels on the surface", f"{report.voxels:,} of {voxel} m"),
+        ("boxes", f"{len(report.boxes)}"),
+        ("coverage of the surface", f"{100.0 * report.covered:.2f} %"),
+        ("excess, mean", f"{report.excess_mean:.2f} m"),
+        ("excess, 99th percentile", f"{report.excess_p99:.2f} m"),
+        ("farthest corner from the origin", f"{report.reach:.1f} m"),
+    ):
+        table.add_row(name, value)
+    Console().print(table)
+    if out is not None:
+        save_hull(out, report.boxes, f"{len(report.boxes)} boxes from {mesh.name}")
+        print(f"{out}: {len(report.boxes)} boxes")
+
+
+def station_show(out: Path = Path("station.png"), width: int = 1600, height: int = 1000) -> None:
+    """Draw the station with its collision boxes, ports and corridors, and report how well the boxes fit.
+
+    Args:
+        out: PNG file to write.
+        width: Pixels.
+        height: Pixels.
+    """
+    import cv2
+
+    from owm_envs.station import PARTS, hull_boxes, hull_quality
+    from owm_envs.station.picture import draw_station
+
+    image = draw_station((width, height))
+    done, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done or out.suffix.lower() != ".png":
+        raise ValueError(f"out must be a .png file; got {out}")
+    out.write_bytes(data.tobytes())
+    quality = hull_quality(hull_boxes())
+    print(
+        f"{out}: {len(PARTS)} parts, {quality.boxes} boxes covering {100.0 * quality.covered:.2f} % of their surface; "
+        f"excess {quality.excess_mean:.2f} m mean, {quality.excess_p99:.2f} m at the 99th percentile"
+    )
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; a user's mistake ends with exit code 2 and one line that says what it is."""
     config = tyro.extras.SubcommandApp()
     config.command(show)
     config.command(validate)
     config.command(schema)
+    station = tyro.extras.SubcommandApp()
+    station.command(station_export, name="export")
+    station.command(station_import, name="import")
+    station.command(station_show, name="show")
     app = tyro.extras.SubcommandApp()
     app.command(generate)
     app.command(config, name="config", help="Print or check a configuration.")
     app.command(ports)
+    app.command(station, name="station", help="The station's mesh, its picture, and boxes from a mesh of your own.")
     try:
         app.cli(prog="owm-envs", description="Spacecraft docking environments.", args=arguments)
     except KeyboardInterrupt:
         print("interrupted; a dataset is resumed by the same command", file=sys.stderr)
         raise SystemExit(130) from None
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(2) from None
 

@@ -74,8 +74,8 @@ class DockingEnv:
     pieces they are made of, for environments that put something in between.
 
     Environments of equal `structure` and `dynamics` are equal and run the same compiled programs; what else they are
-    configured to is in their `params` alone. So pass `params` into a compiled function that takes the environment as a static
-    argument, rather than ask for `default_params()` inside it.
+    configured to is in their `params` alone. So pass `params` into a compiled function that takes the environment as
+    a static argument, rather than ask for `default_params()` inside it.
 
     Args:
         config: as `load_config` takes it.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from owm_envs.station import PARTS, PORTS, part_boxes
+from owm_envs.station import PARTS, PORTS, hull_boxes, nearest_part
 
 _BACKGROUND = (13, 17, 28)
 _PANEL = (19, 25, 40)
@@ -62,26 +62,29 @@ _SIDE = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0))  # from starboard: forward to the ri
 _TOP = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0))  # from zenith: forward to the right, port up
 
 
+_COLOURS = {
+    "radiator": (232, 234, 238),
+    "array": (58, 92, 176),
+    "array_blue": (70, 78, 150),
+    "truss": (150, 156, 166),
+    "equipment": (150, 156, 166),
+    "russian": (186, 190, 172),
+    "metal": (120, 124, 134),
+    "dark": (120, 124, 134),
+}  # by material
+
+
 @functools.cache
 def _part_colours() -> dict[bytes, tuple[int, int, int]]:
-    """A base colour for each of the station's boxes, found by its corners."""
+    """A base colour for each of the station's boxes, found by its corners: that of the commonest material in it."""
+    boxes = hull_boxes()
+    signs = np.stack(np.meshgrid(*[(-0.7, 0.0, 0.7)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    places = boxes.mean(axis=1) + 0.5 * signs * (boxes[:, 1] - boxes[:, 0])
+    _, owners = nearest_part(PARTS, places.reshape(-1, 3))
     colours = {}
-    for part in PARTS:
-        name = part.name
-        if "radiator" in name:
-            colour = (232, 234, 238)
-        elif "array" in name and "mast" not in name:
-            colour = (58, 92, 176) if "zvezda" not in name and "zarya" not in name else (70, 78, 150)
-        elif name.startswith(("truss", "s0", "z1", "elc", "external", "array")):
-            colour = (150, 156, 166)
-        elif name.startswith(("zarya", "zvezda", "poisk", "pirs", "rassvet")):
-            colour = (186, 190, 172)
-        elif name.startswith(("pma", "cupola", "quest_gas")):
-            colour = (120, 124, 134)
-        else:
-            colour = (206, 210, 216)
-        for box in part_boxes(part):
-            colours[box.astype(np.float32).tobytes()] = colour
+    for box, near in zip(boxes, owners.reshape(len(signs), -1).T):
+        material = max(names := [PARTS[i].material for i in near], key=names.count)
+        colours[box.astype(np.float32).tobytes()] = _COLOURS.get(material, (206, 210, 216))
     return colours
 
 

@@ -1,0 +1,344 @@
+"""The table of parts as a mesh, and any mesh as boxes. Needs `trimesh` (the extra `mesh`).
+
+Files are glTF: y up, z forward. The station frame is zenith z and forward -y, so (x, y, z) is written as (x, z, -y).
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from owm_envs.station.boxes import Boxes, distance_to, emptiness, grid_around, merge, outer_samples
+from owm_envs.station.geometry import ROUND, rotation
+from owm_envs.station.primitives import MATERIALS, Part
+
+if TYPE_CHECKING:
+    import trimesh
+
+_SIDES = 32  # of a round part; their corners lie on the surface
+_CELLS = 60_000_000  # most voxels of an import
+
+_TO_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+UP: dict[str, np.ndarray] = {
+    "x": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]).T,
+    "y": _TO_GLTF.T,
+    "z": np.eye(3),
+}
+"""Rotation from a file's axes to the station frame, by the file's axis that points to zenith."""
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise ImportError('meshes need trimesh: pip install "outofthisworldmodel-envs[mesh]"') from None
+    return trimesh
+
+
+def part_mesh(part: Part) -> "trimesh.Trimesh":
+    """Make the watertight mesh of one part, in the table's frame."""
+    trimesh = _trimesh()
+    size = np.asarray(part.dimensions, np.float64)
+    if part.primitive == "sphere":
+        mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.5 * size[0])
+    elif part.primitive in ROUND:
+        # Revolve the outline about local z; the points on the axis close the mesh.
+        r0, r1, half = 0.5 * size
+        outline = np.array([(0.0, -half), (r0, -half), (r1, half), (0.0, half)])
+        mesh = trimesh.creation.revolve(outline, sections=_SIDES)
+    else:
+        mesh = trimesh.creation.box(extents=size)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation(part), part.position
+    mesh.apply_transform(pose)
+    return mesh
+
+
+def scene(parts: tuple[Part, ...]) -> "trimesh.Scene":
+    """Make a scene of one named node a part, with its material; glTF axes.
+
+    Args:
+        parts: rows of a table.
+    """
+    trimesh = _trimesh()
+    turn = np.eye(4)
+    turn[:3, :3] = _TO_GLTF
+    materials = {
+        name: trimesh.visual.material.PBRMaterial(
+            name=name,
+            baseColorFactor=[*(round(255 * c) for c in m.colour), 255],
+            metallicFactor=m.metallic,
+            roughnessFactor=m.roughness,
+        )
+        for name, m in MATERIALS.items()
+    }
+    result = trimesh.Scene()
+    for part in parts:
+        mesh = part_mesh(part)
+        mesh.apply_transform(turn)
+        mesh.visual = trimesh.visual.TextureVisuals(material=materials[part.material])
+        result.add_geometry(mesh, node_name=part.name, geom_name=part.name)
+    return result
+
+
+def export(path: Path | str, parts: tuple[Part, ...]) -> int:
+    """Write a table of parts as binary glTF.
+
+    Args:
+        path: the file to write, .glb.
+        parts: rows of a table.
+
+    Returns:
+        Its size in bytes.
+
+    Raises:
+        ValueError: a name that doesn't end in .glb.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".glb":
+        raise ValueError(f"export writes binary glTF: the name must end in .glb; got {path.name}")
+    data = scene(parts).export(file_type="glb")
+    path.write_bytes(data)
+    return len(data)
+
+
+# ---------------------------------------------------------------- import
+
+
+def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) -> Float[np.ndarray, "T 3 3"]:
+    """Read a mesh of any kind that trimesh reads, in the station frame.
+
+    Args:
+        path: the file; all its meshes are taken together.
+        scale: metres per unit of the file.
+        up: the file's axis that points to zenith, "x", "y" or "z"; by default y for glTF and z for other files.
+
+    Returns:
+        (T, 3, 3) corners of the triangles [m], degenerate ones left out.
+
+    Raises:
+        ValueError: the file is missing, not a mesh, without triangles or not finite; or its size can't be in metres.
+    """
+    trimesh = _trimesh()
+    path = Path(path)
+    up = ("y" if path.suffix.lower() in (".glb", ".gltf") else "z") if up is None else up
+    if up not in UP:
+        raise ValueError(f"up must be one of {', '.join(UP)}; got {up!r}")
+    if not (np.isfinite(scale) and scale > 0.0):
+        raise ValueError(f"scale must be a positive number of metres per unit; got {scale}")
+    if not path.is_file():
+        raise ValueError(f"no such mesh: {path}")
+    try:
+        loaded = trimesh.load_scene(path)
+        meshes = [mesh for mesh in loaded.dump() if isinstance(mesh, trimesh.Trimesh)]
+    except Exception as error:  # trimesh's readers raise whatever their format's parser raises
+        raise ValueError(f"{path} cannot be read as a mesh: {error}") from None
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh.triangles, np.float64) for mesh in meshes)])
+    if len(triangles) == 0:
+        raise ValueError(f"{path} holds no triangles")
+    if not np.isfinite(triangles).all():
+        raise ValueError(f"{path} holds vertices that are not finite")
+    triangles = triangles @ UP[up].T * scale
+    extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
+    if not 1.0 < extent < 1000.0:
+        raise ValueError(
+            f"{path} is {extent:,.6g} m across, which no station is; scale gives the metres per unit "
+            f"(0.001 for millimetres, 0.0254 for inches; now {scale:g})"
+        )
+    return triangles
+
+
+def _small_pieces(triangles: np.ndarray, longest: float) -> np.ndarray:
+    """Halve the longest edges until none is longer; the pieces cover the triangles exactly."""
+    done = []
+    while len(triangles):
+        edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+        small = edges.max(axis=1) <= longest
+        done.append(triangles[small])
+        triangles, edges = triangles[~small], edges[~small]
+        if len(triangles):
+            first = edges.argmax(axis=1)
+            a, b, c = (triangles[np.arange(len(first)), (first + k) % 3] for k in range(3))
+            middle = 0.5 * (a + b)
+            triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+    return np.concatenate(done)
+
+
+class Voxels(NamedTuple):
+    """The cells that a surface passes through, each with the smallest box around what lies in it."""
+
+    index: np.ndarray
+    """(M, 3) cell numbers."""
+    bounds: Boxes
+
+
+def voxelise(triangles: Float[np.ndarray, "T 3 3"], origin: np.ndarray, spacing: float) -> Voxels:
+    """Find every cell that a surface touches; no point of it is missed.
+
+    Triangles are cut into pieces no longer than a cell, and each piece marks the cells its bounds touch.
+    """
+    shape = np.ceil((triangles.reshape(-1, 3).max(axis=0) - origin) / spacing).astype(np.int64) + 1
+    found = np.zeros(0, np.int64)
+    limits = np.zeros((0, 6))  # lower corner and negative upper corner, so that one minimum serves both
+    for start in range(0, len(triangles), 20_000):
+        pieces = _small_pieces(triangles[start : start + 20_000], spacing)
+        low, high = pieces.min(axis=1), pieces.max(axis=1)
+        first = np.floor((low - origin) / spacing).astype(np.int64)
+        last = np.maximum(np.ceil((high - origin) / spacing).astype(np.int64) - 1, first)
+        for offset in np.ndindex(2, 2, 2):
+            touched = np.flatnonzero(np.all(first + offset <= last, axis=1))
+            cell = first[touched] + offset
+            corner = origin + cell * spacing
+            inside = [np.maximum(low[touched], corner), -np.minimum(high[touched], corner + spacing)]
+            keys = np.concatenate([found, (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]])
+            order = np.argsort(keys, kind="stable")
+            keys = keys[order]
+            starts = np.flatnonzero(np.diff(keys, prepend=-1))
+            both = np.concatenate([limits, np.concatenate(inside, axis=1)])[order]
+            found, limits = keys[starts], np.minimum.reduceat(both, starts)
+    index = np.stack(np.unravel_index(found, shape), axis=1)
+    return Voxels(index, np.stack([limits[:, :3], -limits[:, 3:]], axis=1))
+
+
+def _blocks(voxels: Voxels, most: int) -> Boxes:
+    """Split the set of voxels in two, again and again where that saves most volume, into at most `most` boxes."""
+    import heapq
+
+    def extent(members: np.ndarray) -> np.ndarray:
+        return np.stack([voxels.bounds[members, 0].min(axis=0), voxels.bounds[members, 1].max(axis=0)])
+
+    def volume(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        size = upper - lower
+        return size[..., 0] * size[..., 1] * size[..., 2]
+
+    def best_cut(members: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """The plane between two layers of cells that saves most."""
+        whole, best = float(volume(*extent(members))), None
+        for axis in range(3):
+            order = members[np.argsort(voxels.index[members, axis], kind="stable")]
+            layer = voxels.index[order, axis]
+            cuts = np.flatnonzero(np.diff(layer)) + 1
+            if len(cuts) == 0:
+                continue
+            low, high = voxels.bounds[order, 0], voxels.bounds[order, 1]
+            before = np.minimum.accumulate(low)[cuts - 1], np.maximum.accumulate(high)[cuts - 1]
+            after = np.minimum.accumulate(low[::-1])[::-1][cuts], np.maximum.accumulate(high[::-1])[::-1][cuts]
+            saved = whole - volume(*before) - volume(*after)
+            k = int(np.argmax(saved))
+            if best is None or saved[k] > best[0]:
+                best = float(saved[k]), order[: cuts[k]], order[cuts[k] :]
+        return best
+
+    leaves, heap, ticket = {}, [], 0
+
+    def add(members: np.ndarray) -> None:
+        nonlocal ticket
+        leaves[ticket] = members
+        cut = best_cut(members)
+        if cut is not None:
+            heapq.heappush(heap, (-cut[0], ticket, cut[1], cut[2]))
+        ticket += 1
+
+    add(np.arange(len(voxels.index)))
+    while heap and len(leaves) < most:
+        _, number, left, right = heapq.heappop(heap)
+        del leaves[number]
+        add(left)
+        add(right)
+    return np.stack([extent(members) for members in leaves.values()])
+
+
+class ImportReport(NamedTuple):
+    """What became of a mesh; lengths in metres."""
+
+    triangles: int
+    voxels: int
+    boxes: Boxes
+    covered: float
+    """Share of surface samples inside the boxes; 1 but for rounding."""
+    excess_mean: float
+    """Distance of samples of the boxes' outer surface to the mesh's voxels, mean over the area."""
+    excess_p99: float
+    reach: float
+    """Farthest corner from the origin."""
+
+
+def boxes_from_mesh(
+    triangles: Float[np.ndarray, "T 3 3"],
+    count: int = 313,
+    voxel: float = 0.5,
+    reach: float = 2.25,
+    samples: int = 20_000,
+    progress: Callable[[str], None] = lambda text: None,
+) -> ImportReport:
+    """Turn a surface into axis-aligned boxes that cover it.
+
+    Voxels first; then the set of voxels is split into several times as many boxes as asked for, and these are merged
+    where the least empty space is taken in. What the surface encloses counts as solid.
+
+    Args:
+        triangles: (T, 3, 3) corners [m], station frame.
+        count: number of boxes.
+        voxel: edge of a voxel [m].
+        reach: radius of the chaser's bounding sphere [m]: what it can't enter costs nothing to fill.
+        samples: surface samples of the report.
+        progress: called with what is being done.
+
+    Raises:
+        ValueError: a count below 1, a voxel that isn't positive, or one so small that the grid gets too large.
+    """
+    from scipy.ndimage import binary_fill_holes
+    from scipy.spatial import cKDTree
+
+    triangles = np.asarray(triangles, np.float64)
+    if count < 1:
+        raise ValueError(f"boxes must be at least 1; got {count}")
+    if not (np.isfinite(voxel) and voxel > 0.0):
+        raise ValueError(f"voxel must be a positive length in metres; got {voxel}")
+    corners = triangles.reshape(-1, 3)
+    whole = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    cells = float(np.prod((whole[1] - whole[0] + 2.0 * reach) / voxel + 3.0))
+    if cells > _CELLS:
+        least = voxel * (cells / _CELLS) ** (1.0 / 3.0)
+        raise ValueError(
+            f"voxel {voxel} m makes {cells:.2g} cells; at least {least:.2f} m keeps them under {_CELLS:.0g}"
+        )
+    progress("voxelising")
+    grid = grid_around(whole[None], voxel, reach)
+    voxels = voxelise(triangles, grid.origin, voxel)
+    filled = np.zeros(grid.shape, bool)
+    filled[tuple(voxels.index.T)] = True
+    filled = binary_fill_holes(filled)
+    progress("splitting")
+    blocks = _blocks(voxels, max(6 * count, 64))
+    progress("merging")
+    boxes = merge(blocks, count, emptiness(filled.astype(np.float64), grid))
+    size = boxes[:, 1] - boxes[:, 0]
+    flat = size < 1e-3  # a box needs a thickness
+    boxes = np.stack([boxes[:, 0] - 0.5e-3 * flat, boxes[:, 1] + 0.5e-3 * flat], axis=1)
+
+    progress("measuring")
+    rng = np.random.default_rng(0)
+    area = 0.5 * np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )  # fmt: skip
+    chosen = triangles[rng.choice(len(triangles), samples, p=area / area.sum())]
+    u, v = np.sqrt(rng.random((samples, 1))), rng.random((samples, 1))
+    surface = (1.0 - u) * chosen[:, 0] + u * (1.0 - v) * chosen[:, 1] + u * v * chosen[:, 2]
+    outer = outer_samples(boxes, samples, rng)
+    near = cKDTree(voxels.bounds.mean(axis=1)).query(outer, k=min(8, len(voxels.index)))[1].reshape(len(outer), -1)
+    gap = np.maximum(
+        np.maximum(voxels.bounds[near, 0] - outer[:, None], outer[:, None] - voxels.bounds[near, 1]), 0.0
+    )  # fmt: skip
+    excess = np.linalg.norm(gap, axis=-1).min(axis=1)
+    return ImportReport(
+        len(triangles),
+        len(voxels.index),
+        boxes,
+        float(np.mean(distance_to(boxes, surface) < 1e-6)),
+        float(excess.mean()),
+        float(np.quantile(excess, 0.99)),
+        float(np.linalg.norm(np.abs(boxes).max(axis=1), axis=-1).max()),
+    )
