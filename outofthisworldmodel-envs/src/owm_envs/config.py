@@ -120,11 +120,6 @@ class DockingConfig(Frozen):
 
     @model_validator(mode="after")
     def _consistent(self):
-        if self.fidelity == "iss-numerical" and self.precision != "float64":
-            raise ValueError(
-                "precision must be 'float64' for fidelity 'iss-numerical': metres are differences of "
-                "Earth-centred positions"
-            )
         if self.horizon < self.dt * self.steps_per_action:
             raise ValueError("horizon must hold at least one action (dt * steps_per_action)")
         chief, ranges = self.chief, self.randomization

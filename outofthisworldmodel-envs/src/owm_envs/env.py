@@ -7,17 +7,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from astrojax.compilation import stored
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics
 from owm_envs.params import Params, params_from_config
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
-from owm_envs.task.collision import swept_clearance
+from owm_envs.task.collision import Room, advance_room, room_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.randomization import Drawn, draw, episode_params
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
+from owm_envs.task.selected import apply_where
 from owm_envs.task.sensors import advance_bias, goal_error, measure, start_bias
 
 _BEYOND_REASON = 1e9
@@ -43,15 +45,16 @@ class EnvState(NamedTuple):
     """An `Outcome`."""
     collided: Bool[Array, ""]
     """Whether the hull was ever touched."""
-    clearance: Float[Array, ""]
-    """Least `swept_clearance` of the bounding sphere to any keep-out box so far, m."""
+    room: Room
+    """Of the bounding sphere to the keep-out boxes."""
     closest: Closest
     actuators: ActuatorState
     bias: Float[Array, "4 3"] | None
     """Time-correlated error of the sensors, of unit variance per axis; None without."""
     drawn: Drawn | None
     """What was drawn for this episode; None without randomisation."""
-    episode_key: Key[Array, ""]
+    noise_key: Key[Array, ""]
+    """Of this episode's sensor errors."""
     next_key: Key[Array, ""]
     """From which the following episode in this slot starts."""
 
@@ -149,11 +152,12 @@ class DockingEnv:
     ) -> EnvState:
         """The state of an episode about to begin at `start`, not observed yet."""
         params = episode_params(params, drawn)
+        noise_key = named_key(episode_key, "noise")
         physics = self.dynamics.init(params, start.epoch, start.view)
         bias = None
         if self.structure.biased:
-            bias = start_bias(start.view.dtype, key=self._bias_key(episode_key, 0))
-        clearance = self._clearance(params, start.view[:3], start.view[:3])
+            bias = start_bias(start.view.dtype, key=self._bias_key(noise_key, 0))
+        room = room_at(start.view[:3], params.chaser.radius, self._boxes(params))
         closest = self._approach(params, start.port, start.view, physics.elapsed)
         return EnvState(
             physics=physics,
@@ -162,13 +166,13 @@ class DockingEnv:
             port=start.port,
             count=jnp.zeros((), jnp.int32),
             outcome=jnp.asarray(Outcome.RUNNING, jnp.int32),
-            collided=clearance <= 0,
-            clearance=clearance,
+            collided=room.now <= 0,
+            room=room,
             closest=closest,
             actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
             bias=bias,
             drawn=drawn,
-            episode_key=episode_key,
+            noise_key=noise_key,
             next_key=next_key,
         )
 
@@ -224,7 +228,7 @@ class DockingEnv:
         late = (ended.outcome == Outcome.RUNNING) & (count >= params.horizon_steps)
         ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
         if state.bias is not None:
-            key = self._bias_key(state.episode_key, count)
+            key = self._bias_key(state.noise_key, count)
             lapse = params.dt * self.structure.steps_per_action
             bias = advance_bias(state.bias, params.noise.bias.correlation_time, lapse, key=key)
             ended = ended._replace(bias=jnp.where(was_running, bias, state.bias))
@@ -262,7 +266,7 @@ class DockingEnv:
             "port": state.port,
             "outcome": state.outcome,
             "collided": state.collided,
-            "clearance": state.clearance,
+            "clearance": state.room.least,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
             **({} if state.drawn is None else {f"drawn_{k}": v for k, v in state.drawn._asdict().items()}),
         }
@@ -275,10 +279,9 @@ class DockingEnv:
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
         sign = jnp.where(jnp.sum(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
-        view = view.at[6:10].multiply(sign)
+        view = stored(view.at[6:10].multiply(sign))
 
-        clearance = self._clearance(params, state.view[:3], view[:3])
-        touches = clearance <= 0
+        room, touches = advance_room(state.room, state.view[:3], view[:3], params.chaser.radius, self._boxes(params))
         approach = self._approach(params, state.port, view, physics.elapsed)
         nearer = approach.distance < state.closest.distance
         closest = jax.tree.map(lambda new, old: jnp.where(nearer, new, old), approach, state.closest)
@@ -295,20 +298,19 @@ class DockingEnv:
             view=view,
             outcome=outcome,
             collided=state.collided | touches,
-            clearance=jnp.minimum(state.clearance, clearance),
+            room=room,
             closest=closest,
         )
         return state, touches
 
-    def _bias_key(self, episode_key, count):
-        return jax.random.fold_in(named_key(episode_key, "sensor bias"), count)
+    def _bias_key(self, noise_key, count):
+        return jax.random.fold_in(named_key(noise_key, "bias"), count)
 
-    def _clearance(self, params, start, end):
-        boxes = jnp.concatenate([params.hull, params.obstacles])
-        return swept_clearance(start, end, params.chaser.radius, boxes)
+    def _boxes(self, params):
+        return jnp.concatenate([params.hull, params.obstacles])
 
     def _approach(self, params, port, view, elapsed):
-        return Closest(*error_norms(goal_error(view, params.goals[port])), elapsed)
+        return stored(Closest(*error_norms(goal_error(view, params.goals[port])), elapsed))
 
     def _epoch(self, state):
         epoch = state.physics.epoch
@@ -316,7 +318,18 @@ class DockingEnv:
 
     def observe(self, params: Params, state: EnvState) -> tuple[EnvState, Float[Array, "O"]]:
         """Measure: the state with its measurement, and the observation."""
-        key = jax.random.fold_in(named_key(state.episode_key, "noise"), state.count)
-        measured = measure(params.noise, state.view, state.bias, key=key)
+        measured = measure(params.noise, state.view, state.bias, key=state.noise_key, count=state.count)
         error = goal_error(measured, params.goals[state.port])
         return state._replace(measured=measured), self.layout.observe(self._epoch(state), measured, error)
+
+
+def restart_where(
+    env: DockingEnv, params: Params, due: Bool[Array, "B"], state: EnvState, observation: Float[Array, "B O"]
+) -> tuple[EnvState, Float[Array, "B O"]]:
+    """Start the next episode in the slots of `due`; in a compiled loop, at a cost for those alone.
+
+    Args:
+        state: of a batch, leading axis B.
+        observation: kept in the other slots.
+    """
+    return apply_where(due, lambda key: env.reset(params, key=key), (state, observation), state.next_key)

@@ -214,9 +214,9 @@ class FleetEnv:
         seen = jnp.concatenate([chasers.view[:, :3], moving], axis=1)
         others = np.array([[j for j in range(self.num_chasers) if j != i] for i in range(self.num_chasers)])
 
-        def look(episode_key, count, relative):
+        def look(noise_key, count, relative):
             # As `measure` does for one view, but one draw for all: drawing is what costs.
-            key = jax.random.fold_in(named_key(episode_key, "noise of the others"), count)
+            key = jax.random.fold_in(named_key(noise_key, "others"), count)
             noise, distance = params.noise, safe_norm(relative[:, :3])
             total = jnp.stack(
                 [
@@ -230,7 +230,7 @@ class FleetEnv:
             return relative + (per_axis[..., None] * errors).reshape(relative.shape)
 
         relative = seen[others] - seen[:, None]
-        view = jax.vmap(look)(chasers.episode_key, chasers.count, relative)
+        view = jax.vmap(look)(chasers.noise_key, chasers.count, relative)
         if self.config.normalize:
             view = view / jnp.asarray(VIEW_SCALE[:6], view.dtype)
         return jnp.concatenate([own, view.reshape(self.num_chasers, -1).astype(own.dtype)], axis=1)

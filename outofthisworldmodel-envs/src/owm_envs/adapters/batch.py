@@ -150,7 +150,7 @@ def state_to_host(state: EnvState) -> Any:
     """A state as NumPy arrays that pickle without loss."""
     with jax.enable_x64(True):
         state = state._replace(
-            episode_key=jax.random.key_data(state.episode_key), next_key=jax.random.key_data(state.next_key)
+            noise_key=jax.random.key_data(state.noise_key), next_key=jax.random.key_data(state.next_key)
         )
         return jax.device_get(state)
 
@@ -160,6 +160,6 @@ def state_from_host(state: Any) -> EnvState:
     with jax.enable_x64(True):
         state = jax.tree.map(jnp.asarray, state)
         return state._replace(
-            episode_key=jax.random.wrap_key_data(state.episode_key, impl="threefry2x32"),
+            noise_key=jax.random.wrap_key_data(state.noise_key, impl="threefry2x32"),
             next_key=jax.random.wrap_key_data(state.next_key, impl="threefry2x32"),
         )

@@ -1,12 +1,15 @@
-"""`iss-numerical`: chief and chaser propagated separately in the Earth-centred inertial frame; needs float64.
+"""`iss-numerical`: the station's orbit and the chaser's motion about it, in inertial axes, perturbed.
 
 Zonal gravity, Sun, Moon and Harris-Priester drag act on both; the chaser also turns under its torque and the gravity
-gradient. The positions of Sun and Moon are held over a step.
+gradient. Motion about the station is integrated as such, its acceleration formed without subtracting two orbits, so
+that float32 will do: it keeps running sums of what rounding takes. The positions of Sun and Moon are held over a step
+and, like the density of the air, evaluated in float32: to seven digits, far within what they are models of.
 """
 
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -16,16 +19,22 @@ from astrojax.attitude import (
     quat_conjugate,
     quat_derivative,
     quat_multiply,
-    quat_normalize,
     quat_rotate,
     rotation_to_quat,
     torque_gravity_gradient,
 )
+from astrojax.compilation import stored
 from astrojax.constants import GM_EARTH
-from astrojax.dynamics import ForceModel, accel_gravity_and_perturbations, celestial_bodies
+from astrojax.dynamics import (
+    Ballistics,
+    ForceModel,
+    accel_gravity_and_perturbations,
+    accel_relative,
+    celestial_bodies,
+)
 from astrojax.elements import keplerian_to_cartesian, propagate_keplerian
-from astrojax.gravity import accel_two_body, accel_zonal
-from astrojax.integrators import rk4_step
+from astrojax.gravity import accel_zonal
+from astrojax.integrators import compensated_add, rk4_increment
 from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
 from owm_envs.dynamics.state import PhysicalState, VehicleState
@@ -41,9 +50,17 @@ class _Frame(NamedTuple):
     rate: Float[Array, "3"]
 
 
+def _unit_attitude(motion, increment):
+    """The increment that leaves the quaternion at length one."""
+    dt, orbit, turn = increment
+    ahead = motion[2].attitude + turn.attitude
+    stretch = jax.lax.rsqrt(jnp.sum(ahead * ahead)) - 1
+    return dt, orbit, turn._replace(attitude=turn.attitude + stretch * ahead)
+
+
 @dataclass(frozen=True)
 class NumericalOrbits:
-    """Two perturbed orbits and a rigid body; orbits, attitude and rate are inertial."""
+    """A perturbed orbit, perturbed motion about it and a rigid body, in inertial axes."""
 
     has_epoch: ClassVar[bool] = True
     zonal_degree: int = 4
@@ -52,10 +69,11 @@ class NumericalOrbits:
     drag: bool = True
 
     def _frame(self, chief):
-        # Sun, Moon and drag change the out-of-plane rate by less than 1e-9 rad/s (2e-7 m/s at 225 m).
-        accel = accel_two_body(chief[:3], GM_EARTH) + accel_zonal(chief[:3], self.zonal_degree)
+        # Sun, Moon and drag change the out-of-plane rate by less than 1e-9 rad/s (2e-7 m/s at 225 m); the central
+        # attraction has no part in it.
+        accel = accel_zonal(chief[:3], self.zonal_degree)
         relabel = jnp.asarray(RTN_TO_STATION, chief.dtype)
-        return _Frame(relabel @ rotation_eci_to_rtn(chief), relabel @ rtn_rate(chief, accel))
+        return stored(_Frame(relabel @ rotation_eci_to_rtn(chief), relabel @ rtn_rate(chief, accel)))
 
     def init(self, params, epoch, view):
         """State with the relative view `view` (13,) at `epoch` (2,); the chief has come there on its Kepler orbit."""
@@ -64,46 +82,58 @@ class NumericalOrbits:
         chief = keplerian_to_cartesian(elements, GM_EARTH)
         frame = self._frame(chief)
         to_eci = frame.rotation.T
-        position = chief[:3] + to_eci @ view[:3]
-        velocity = chief[3:] + to_eci @ (view[3:6] + jnp.cross(frame.rate, view[:3]))
+        position = to_eci @ view[:3]
+        velocity = to_eci @ (view[3:6] + jnp.cross(frame.rate, view[:3]))
         attitude = quat_multiply(rotation_to_quat(to_eci), view[6:10])
         rate = view[10:13] + quat_rotate(quat_conjugate(view[6:10]), frame.rate)
         chaser = VehicleState(jnp.concatenate([position, velocity]), attitude, rate)
-        return PhysicalState(epoch, jnp.zeros((), view.dtype), chief, chaser)
+        elapsed = jnp.zeros((), view.dtype)
+        lost = None
+        if view.dtype == jnp.float32:
+            lost = jax.tree.map(jnp.zeros_like, (elapsed, chief, chaser))
+        return PhysicalState(epoch, elapsed, chief, chaser, lost)
 
     def step(self, params, state, wrench, dt):
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""
         forces = ForceModel(zonal_degree=self.zonal_degree, sun=self.sun, moon=self.moon, drag=self.drag)
-        bodies = celestial_bodies(*normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed))
-        station, vehicle = params.chief, params.chaser
+        day, seconds = normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed)
+        bodies = celestial_bodies(day.astype(jnp.float32), seconds.astype(jnp.float32))
+        bodies = stored(jax.tree.map(lambda position: position.astype(dt.dtype), bodies))
+        vehicle = params.chaser
+        station = Ballistics(params.chief.mass, params.chief.drag_area, params.chief.drag_coefficient)
+        own = Ballistics(vehicle.mass, vehicle.drag_area, vehicle.drag_coefficient)
 
-        def orbit_derivative(orbit, body, thrust_accel):
-            accel = accel_gravity_and_perturbations(
-                bodies, orbit, body.mass, body.drag_area, body.drag_coefficient, forces
-            )
-            return jnp.concatenate([orbit[3:], accel + thrust_accel])
-
-        def derivative(_, vehicles):
-            chief, chaser = vehicles
+        def derivative(_, motion):
+            _, chief, chaser = motion
             thrust = quat_rotate(chaser.attitude, wrench[:3]) / vehicle.mass
-            from_earth = quat_rotate(quat_conjugate(chaser.attitude), chaser.orbit[:3])
+            from_earth = quat_rotate(quat_conjugate(chaser.attitude), chief[:3] + chaser.orbit[:3])
             torque = wrench[3:] + torque_gravity_gradient(from_earth, vehicle.inertia, GM_EARTH)
-            return orbit_derivative(chief, station, jnp.zeros_like(thrust)), VehicleState(
-                orbit_derivative(chaser.orbit, vehicle, thrust),
-                quat_derivative(chaser.attitude, chaser.rate),
-                accel_euler(chaser.rate, vehicle.inertia, torque),
+            apart = accel_relative(bodies, chief, chaser.orbit, station, own, forces)
+            return (
+                jnp.ones((), dt.dtype),
+                jnp.concatenate([chief[3:], accel_gravity_and_perturbations(bodies, chief, *station, forces)]),
+                VehicleState(
+                    jnp.concatenate([chaser.orbit[3:], apart + thrust]),
+                    quat_derivative(chaser.attitude, chaser.rate),
+                    accel_euler(chaser.rate, vehicle.inertia, torque),
+                ),
             )
 
-        chief, chaser = rk4_step(derivative, state.elapsed, (state.chief, state.chaser), dt)
-        chaser = chaser._replace(attitude=quat_normalize(chaser.attitude))
-        return state._replace(elapsed=state.elapsed + dt, chief=chief, chaser=chaser)
+        motion = (state.elapsed, state.chief, state.chaser)
+        increment = _unit_attitude(motion, rk4_increment(derivative, state.elapsed, motion, dt))
+        if state.lost is None:
+            motion, lost = jax.tree.map(lambda a, b: a + b, motion, increment), None
+        else:
+            motion, lost = compensated_add(motion, state.lost, increment)
+        elapsed, chief, chaser = motion
+        return stored(PhysicalState(state.epoch, elapsed, chief, chaser, lost))
 
     def relative_state(self, params, state):
         """The 13-number relative view of a state."""
-        chief, chaser = state.chief, state.chaser
-        frame = self._frame(chief)
-        position = frame.rotation @ (chaser.orbit[:3] - chief[:3])
-        velocity = frame.rotation @ (chaser.orbit[3:] - chief[3:]) - jnp.cross(frame.rate, position)
+        chaser = state.chaser
+        frame = self._frame(state.chief)
+        position = frame.rotation @ chaser.orbit[:3]
+        velocity = frame.rotation @ chaser.orbit[3:] - jnp.cross(frame.rate, position)
         attitude = quat_multiply(rotation_to_quat(frame.rotation), chaser.attitude)
         rate = chaser.rate - quat_rotate(quat_conjugate(attitude), frame.rate)
         return jnp.concatenate([position, velocity, attitude, rate])
