@@ -244,7 +244,7 @@ def test_a_librating_body_keeps_its_jacobi_integral(fly, fidelity):
         return ((moments * view[10:] ** 2).sum() + MEAN_MOTION**2 * along) / 2
 
     values = np.array([integral(v) for v in views])
-    assert np.ptp((moments * views[:, 10:] ** 2).sum(1)) / 2 > 0.1  # J: the parts do change
+    assert np.ptp((moments * views[:, 10:] ** 2).sum(1)) / 2 > 0.02  # J: the parts do change
     np.testing.assert_allclose(values, values[0], rtol=0, atol=1e-12)
 
 
