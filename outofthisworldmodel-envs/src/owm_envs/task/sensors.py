@@ -1,10 +1,7 @@
 """What the chaser measures of the true relative view, and its error to the goal."""
 
-import math
-
 import jax
 import jax.numpy as jnp
-from jax.extend.random import threefry_2x32
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import (
@@ -16,23 +13,7 @@ from astrojax.attitude import (
 from astrojax.compilation import stored
 from owm_envs.params import NoiseParams
 from owm_envs.task.events import safe_norm
-
-
-def standard_normal(key: Key[Array, ""], count: Int[Array, ""] | int, dtype) -> Float[Array, "4 3"]:
-    """The `count`-th of a stream of independent errors of unit variance: position, velocity, attitude, rate.
-
-    Threefry in counter mode, one block for two numbers: to a batch, drawing from a key folded with `count` costs three
-    times as much. The numbers have seven digits whatever the dtype.
-
-    Args:
-        key: of the stream, used for nothing else.
-    """
-    counters = jnp.asarray(count, jnp.uint32) * 12 + jnp.arange(12, dtype=jnp.uint32)
-    bits = threefry_2x32(jax.random.key_data(key), counters).reshape(4, 3)
-    # 24 bits to the middle of one of 2^24 intervals of (-1, 1): never +-1, where the normal would be infinite.
-    uniform = ((bits >> 8).astype(jnp.float32) + 0.5) * jnp.float32(2.0**-23) - 1
-    limit = jnp.float32(1 - 2.0**-24)
-    return stored((jnp.float32(math.sqrt(2)) * jax.lax.erf_inv(jnp.clip(uniform, -limit, limit))).astype(dtype))
+from owm_envs.task.noise_stream import standard_normal
 
 
 def start_bias(dtype, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
@@ -79,7 +60,7 @@ def measure(
             noise.rate,
         ]
     )
-    errors = _per_axis(total)[:, None] * standard_normal(key, count, view.dtype)
+    errors = _per_axis(total)[:, None] * standard_normal(key, count, 12, view.dtype).reshape(4, 3)
     if bias is not None:
         errors = errors + _per_axis(jnp.stack(noise.bias[:4]))[:, None] * bias
     return stored(
