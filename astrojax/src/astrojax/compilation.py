@@ -15,3 +15,8 @@ splits each of its short loops between them."""
 def stored(x: PyTree) -> PyTree:
     """The same arrays, computed once: a hint not to repeat their computation in the loop of each reader."""
     return jax.lax.optimization_barrier(x)
+
+
+def compiler_options() -> dict[str, bool | str] | None:
+    """`CPU_OPTIONS` where JAX computes on the CPU, None elsewhere: for `jax.jit`'s argument of that name."""
+    return CPU_OPTIONS if jax.default_backend() == "cpu" else None

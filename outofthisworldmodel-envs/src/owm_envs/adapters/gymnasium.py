@@ -9,7 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from owm_envs.adapters.batch import BatchProgram, state_from_host, state_to_host
+from owm_envs.adapters.batch import BatchProgram
 from owm_envs.config import DockingConfig, load_config, unknown
 from owm_envs.dynamics import Dynamics, require_dynamics
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
@@ -91,13 +91,13 @@ class _Shell:
     def _new_paths(self, info, slots) -> None:
         if self.render_mode is not None:
             for slot in slots:
-                self._paths[slot] = [info["true_state"][slot, :3]]
+                self._paths[slot] = [info["true_state"][slot, :3].copy()]
 
     def _extend_paths(self, info, restarted) -> None:
         if self.render_mode is not None:
             for slot, path in enumerate(self._paths):
                 if not restarted[slot]:
-                    path.append(info["true_state"][slot, :3])
+                    path.append(info["true_state"][slot, :3].copy())
             self._new_paths(info, np.flatnonzero(restarted))
 
     def _picture(self, slot: int) -> np.ndarray:
@@ -105,7 +105,7 @@ class _Shell:
 
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
-        host = state_to_host(self._state)
+        host = self._program.to_host(self._state)
         view, port = host.view[slot], int(host.port[slot])
         goal = goal_poses()[port]
         seconds = float(host.physics.elapsed[slot])
@@ -115,7 +115,7 @@ class _Shell:
             f"t {seconds:6.1f} s   {_OUTCOMES[int(host.outcome[slot])]}",
             f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
             f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
-            f"clearance {float(host.clearance[slot]):6.2f} m (least)",
+            f"clearance {float(host.room.least[slot]):6.2f} m (least)",
         ]
         boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
         return draw_schematic(boxes, goal_poses(), view, np.asarray(self._paths[slot]), port, lines)
@@ -123,7 +123,7 @@ class _Shell:
     def __getstate__(self) -> dict[str, Any]:
         kept = {k: v for k, v in self.__dict__.items() if k not in ("_program", "docking_env", "_state")}
         kept["_autoreset"] = self._program.autoreset
-        kept["_host_state"] = None if self._state is None else state_to_host(self._state)
+        kept["_host_state"] = None if self._state is None else self._program.to_host(self._state)
         return kept
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
@@ -131,7 +131,7 @@ class _Shell:
         self._program = BatchProgram(kept["config"], kept.pop("_autoreset"), kept["_num_slots"], kept["_dynamics"])
         self.docking_env = self._program.env
         state = kept.pop("_host_state")
-        self._state = None if state is None else state_from_host(state)
+        self._state = None if state is None else self._program.from_host(state)
         self.__dict__.update(kept)
 
 
@@ -164,7 +164,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         ports = self._slot_ports(options)
         super().reset(seed=seed)
         if seed is None and self._state is not None:
-            keys = self._state.next_key
+            keys = self._program.next_keys(self._state)
         else:
             keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if seed is None else seed])
         self._state, observation, info = self._program.reset(keys, ports)
@@ -247,7 +247,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
             keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if s is None else s for s in seeds])
         else:
             seeded = np.array([s is not None for s in seeds])
-            keys = self._program.choose_keys(seeded, [s or 0 for s in seeds], self._state.next_key)
+            keys = self._program.choose_keys(seeded, [s or 0 for s in seeds], self._state)
         if self._state is None or mask.all():
             if not mask.all():
                 raise gymnasium.error.ResetNeeded("the first reset() must start every slot: no reset_mask yet")
@@ -319,8 +319,7 @@ def _autoreset_mode(mode) -> AutoresetMode:
 
 
 def _named(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    named = {name: value.copy() for name, value in info.items()}
-    return {**named, "port": _PORTS[info["port"]], "outcome": _OUTCOMES[info["outcome"]]}
+    return {**info, "port": _PORTS[info["port"]], "outcome": _OUTCOMES[info["outcome"]]}
 
 
 def _scalar_info(info: dict[str, np.ndarray]) -> dict[str, Any]:
