@@ -52,11 +52,15 @@ def test_white_and_correlated_parts_add_with_their_stated_total_rms(x64):
     params = params_from_config(load_config(noise={**NOISE, "bias": BIAS}))
     view = jnp.asarray([60.0, -80.0, 0.0, 0, 0, 0, 0.5, -0.5, 0.5, 0.5, 0, 0, 0])
     keys = jax.random.split(jax.random.key(1), 20_000)
-    biases = jax.vmap(lambda key: start_bias(jnp.float64, key=jax.random.fold_in(key, 1)))(keys)
-    both = jax.vmap(lambda key, bias: measure(params.noise, view, bias, key=key))(keys, biases)
-    white = jax.vmap(lambda key: measure(params.noise, view, key=key))(keys)
+
+    def measured(noise, key):
+        bias = start_bias(jnp.float64, key=jax.random.fold_in(key, 1))
+        return measure(noise, view, bias, key=key), measure(noise, view, key=key)
+
+    measured = jax.jit(jax.vmap(measured, (None, 0)))
+    both, white = measured(params.noise, keys)
     plain = params_from_config(load_config(noise=NOISE)).noise
-    np.testing.assert_array_equal(white, jax.vmap(lambda key: measure(plain, view, key=key))(keys))
+    np.testing.assert_array_equal(white, measured(plain, keys)[1])
     for part, name in zip(PARTS, ("position", "velocity", "rate")):
         rms = np.sqrt(np.mean(np.sum(np.asarray(both - view)[:, part] ** 2, axis=1)))
         assert rms == pytest.approx(np.hypot(BIAS[name], NOISE[name]), rel=0.02)

@@ -29,7 +29,7 @@ class ExactDynamics:
     It is given mass, inertia, drag and the station's orbit, but not the time: the station is taken to be
     where it is at the reference epoch, which moves the small perturbations along the orbit but nothing else.
     Commands are taken
-    to be delivered as they are: thrust scale, misalignment and delay are not modelled. One RK4 step of `dt`
+    to be delivered as they are: thrust scale, misalignment, delay and pulses are not modelled. One RK4 step of `dt`
     replaces the environment's five.
 
     Args:
