@@ -33,7 +33,7 @@ EASIER = {
     "reward": {"progress": -50.0, "escape": -20.0},
 }
 GAMMA, LAMBDA, CLIP, VALUE_WEIGHT, EPOCHS, MINIBATCHES, WIDTH = 0.99, 0.95, 0.2, 0.5, 8, 15, 64
-OPTIMIZER = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(5e-4, eps=1e-5))
+OPTIMIZER = optax.flatten(optax.chain(optax.clip_by_global_norm(0.5), optax.adam(5e-4, eps=1e-5)))
 
 
 class Moments(NamedTuple):
@@ -84,11 +84,12 @@ class Agent(NamedTuple):
 
 
 def network(key: jax.Array, sizes: tuple[int, ...], final: float) -> list:
-    """Orthogonal weights and zero biases; the last layer scaled by `final`."""
+    """Normal weights of variance 1 / inputs and zero biases; the last layer scaled by `final`."""
     layers = []
-    for n, shape in enumerate(pairwise(sizes)):
-        weight = jax.nn.initializers.orthogonal(final if n == len(sizes) - 2 else 2**0.5)
-        layers.append((weight(jax.random.fold_in(key, n), shape, jnp.float32), jnp.zeros(shape[1], jnp.float32)))
+    for n, (inputs, outputs) in enumerate(pairwise(sizes)):
+        scale = (final if n == len(sizes) - 2 else 1.0) / inputs**0.5
+        weight = scale * jax.random.normal(jax.random.fold_in(key, n), (inputs, outputs), jnp.float32)
+        layers.append((weight, jnp.zeros(outputs, jnp.float32)))
     return layers
 
 
