@@ -1,10 +1,10 @@
 """Train PPO pilots inside one compiled program: `python examples/train_jax_ppo.py [--updates N] [--seeds K]`.
 
 Environment steps, automatic reset, advantages, minibatch epochs and logging are one `lax.scan`, called once per line of
-the log; `--seeds K` trains K independent pilots in it by `vmap`. Task and settings are those of `train_sb3_ppo.py`, so
-that the two compare at equal frames (but the learning rate falls to zero): one port (Zvezda aft), two minutes, starts at 75 to 100 m with the nose on the
-station, less torque, more weight on progress and less on escape, and the goal error in the chaser's axes appended.
-There is no curriculum. Nothing but the collision charge tells the pilot of the hull.
+the log; `--seeds K` trains K pilots in it by `vmap`. The task is that of `train_sb3_ppo.py`: one port (Zvezda
+aft), two minutes, starts at 75 to 100 m with the nose on the station, less torque, more weight on progress and less on
+escape, and the goal error in the chaser's axes appended. So are the settings, but for the learning rate, which falls to
+zero, and the initial weights. There is no curriculum. Nothing but the collision charge tells the pilot of the hull.
 
 Needs `pip install optax matplotlib` beside `outofthisworldmodel-envs`; both come with `outofthisworldmodel`.
 """
