@@ -256,7 +256,7 @@ def plot(curves, trials, frames: np.ndarray, idle: float, title: str, file: Path
     left.plot(steps / 1e6, curves["return"].mean(1), color="0.5", label="while training (exploring)")
     left.axhline(idle, color="k", linestyle=":", linewidth=1, label=f"no thrust: {idle:.0f}")
     names = {"return": "on trial (not exploring)"} | {name: name for name in trials if "%" in name}
-    for (name, label), color in zip(names.items(), ("C0", "C0", "C2", "C3")):
+    for (name, label), color in zip(names.items(), ("C0", "C2", "C3", "C0")):
         axes = left if name == "return" else right
         axes.plot(frames / 1e6, trials[name].mean(1), ".-", color=color, label=label)
         axes.plot(frames / 1e6, trials[name], color=color, alpha=0.3, linewidth=0.8)
