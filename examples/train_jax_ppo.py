@@ -1,10 +1,10 @@
 """Train PPO pilots inside one compiled program: `python examples/train_jax_ppo.py [--updates N] [--seeds K]`.
 
 Environment steps, automatic reset, advantages, minibatch epochs and logging are one `lax.scan`, called once per line of
-the log; `--seeds K` trains K independent pilots in it by `vmap`. Task and settings are those of `train_sb3_ppo.py`, so
-that the two compare at equal frames: one port (Zvezda aft), two minutes, starts at 75 to 100 m with the nose on the
-station, less torque, more weight on progress and less on escape, and the goal error in the chaser's axes appended.
-There is no curriculum. Nothing but the collision charge tells the pilot of the hull.
+the log; `--seeds K` trains K pilots in it by `vmap`. The task is that of `train_sb3_ppo.py`: one port (Zvezda
+aft), two minutes, starts at 75 to 100 m with the nose on the station, less torque, more weight on progress and less on
+escape, and the goal error in the chaser's axes appended. So are the settings, but for the learning rate, which falls to
+zero, and the initial weights. There is no curriculum. Nothing but the collision charge tells the pilot of the hull.
 
 Needs `pip install optax matplotlib` beside `outofthisworldmodel-envs`; both come with `outofthisworldmodel`.
 """
@@ -33,7 +33,7 @@ EASIER = {
     "reward": {"progress": -50.0, "escape": -20.0},
 }
 GAMMA, LAMBDA, CLIP, VALUE_WEIGHT, EPOCHS, MINIBATCHES, WIDTH = 0.99, 0.95, 0.2, 0.5, 8, 15, 64
-OPTIMIZER = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(5e-4, eps=1e-5))
+OPTIMIZER = optax.flatten(optax.chain(optax.clip_by_global_norm(0.5), optax.adam(5e-4, eps=1e-5)))
 
 
 class Moments(NamedTuple):
@@ -80,15 +80,18 @@ class Agent(NamedTuple):
     earned_moments: Moments
     """Of the discounted reward so far, by whose spread rewards are divided."""
     slots: Slots
+    done: jax.Array
+    """Updates, of those planned: the learning rate falls to zero with them."""
     key: jax.Array
 
 
 def network(key: jax.Array, sizes: tuple[int, ...], final: float) -> list:
-    """Orthogonal weights and zero biases; the last layer scaled by `final`."""
+    """Normal weights of variance 1 / inputs and zero biases; the last layer scaled by `final`."""
     layers = []
-    for n, shape in enumerate(pairwise(sizes)):
-        weight = jax.nn.initializers.orthogonal(final if n == len(sizes) - 2 else 2**0.5)
-        layers.append((weight(jax.random.fold_in(key, n), shape, jnp.float32), jnp.zeros(shape[1], jnp.float32)))
+    for n, (inputs, outputs) in enumerate(pairwise(sizes)):
+        scale = (final if n == len(sizes) - 2 else 1.0) / inputs**0.5
+        weight = scale * jax.random.normal(jax.random.fold_in(key, n), (inputs, outputs), jnp.float32)
+        layers.append((weight, jnp.zeros(outputs, jnp.float32)))
     return layers
 
 
@@ -127,7 +130,7 @@ def new_agent(states: EnvState, seen: jax.Array, key: jax.Array) -> Agent:
         Moments(jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32), jnp.float32(1e-4)),
     )
     earned = Moments(jnp.float32(0), jnp.float32(1), jnp.float32(1e-4))
-    return Agent(pilot, OPTIMIZER.init(pilot[:3]), earned, Slots(states, seen, zeros, zeros), key)
+    return Agent(pilot, OPTIMIZER.init(pilot[:3]), earned, Slots(states, seen, zeros, zeros), jnp.float32(0), key)
 
 
 def decide(env: DockingEnv, params, pilot: Pilot, slots: Slots, key: jax.Array) -> tuple[Slots, dict[str, Any]]:
@@ -175,7 +178,7 @@ def loss(weights, batch) -> jax.Array:
     return -surrogate.mean() + VALUE_WEIGHT * jnp.mean((forward(critic, seen)[:, 0] - target) ** 2)
 
 
-def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, dict[str, jax.Array]]:
+def update(env: DockingEnv, steps: int, planned: int, params, agent: Agent) -> tuple[Agent, dict[str, jax.Array]]:
     """Fly `steps` decisions in every slot and learn from them; also the means over the episodes that ended."""
     pilot = agent.pilot
     key, flight, learning = jax.random.split(agent.key, 3)
@@ -193,6 +196,7 @@ def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, di
         weights, optimizer = carry
         gradient = jax.grad(loss)(weights, jax.tree.map(lambda x: x[chosen], batch))
         change, optimizer = OPTIMIZER.update(gradient, optimizer)
+        change = jax.tree.map(lambda x: x * (1 - agent.done / planned), change)
         return (optax.apply_updates(weights, change), optimizer), None
 
     def epoch(carry, key):
@@ -204,7 +208,7 @@ def update(env: DockingEnv, steps: int, params, agent: Agent) -> tuple[Agent, di
     seen = pilot.seen.merge(rows["features"].reshape(-1, rows["features"].shape[-1]))
     ended = jnp.maximum(rows["done"].sum(), 1)
     means = {name: jnp.sum(jnp.where(rows["done"], value, 0)) / ended for name, value in rows["episode"].items()}
-    return Agent(Pilot(*weights, seen), optimizer, earned_moments, slots, key), means
+    return Agent(Pilot(*weights, seen), optimizer, earned_moments, slots, agent.done + 1, key), means
 
 
 def evaluate(env: DockingEnv, steps: int, params, starts, pilot: Pilot) -> dict[str, jax.Array]:
@@ -225,7 +229,7 @@ def evaluate(env: DockingEnv, steps: int, params, starts, pilot: Pilot) -> dict[
 
 def report(name: str, figures: dict[str, jax.Array]) -> None:
     """A line of means over the pilots."""
-    print(f"{name:<27}" + "   ".join(f"{key} {np.mean(value):7.2f}" for key, value in figures.items()), flush=True)
+    print(f"{name:<27}", *(f"{key} {np.mean(value):7.2f} " for key, value in figures.items()), flush=True)
 
 
 def save(file: Path, pilots: Pilot) -> None:
@@ -252,7 +256,7 @@ def plot(curves, trials, frames: np.ndarray, idle: float, title: str, file: Path
     left.plot(steps / 1e6, curves["return"].mean(1), color="0.5", label="while training (exploring)")
     left.axhline(idle, color="k", linestyle=":", linewidth=1, label=f"no thrust: {idle:.0f}")
     names = {"return": "on trial (not exploring)"} | {name: name for name in trials if "%" in name}
-    for (name, label), color in zip(names.items(), ("C0", "C0", "C2", "C3")):
+    for (name, label), color in zip(names.items(), ("C0", "C2", "C3", "C0")):
         axes = left if name == "return" else right
         axes.plot(frames / 1e6, trials[name].mean(1), ".-", color=color, label=label)
         axes.plot(frames / 1e6, trials[name], color=color, alpha=0.3, linewidth=0.8)
@@ -269,7 +273,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     """Train in the precision that the fidelity needs; returns what was plotted."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fidelity", default="iss-hcw", help="iss, iss-hcw (both float32) or iss-numerical (float64)")
-    parser.add_argument("--updates", type=int, default=130, help="of envs x horizon frames each")
+    parser.add_argument("--updates", type=int, default=100, help="of envs x horizon frames each")
     parser.add_argument("--minutes", type=float, default=np.inf, help="stop training after this long, if earlier")
     parser.add_argument("--chunk", type=int, default=5, help="updates per call of the compiled program")
     parser.add_argument("--envs", type=int, default=128, help="per pilot")
@@ -292,7 +296,8 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
     begin = jax.jit(jax.vmap(partial(start, env, params)))
     trial_starts = begin(jax.random.split(jax.random.key(10_000), options.envs))
     trial = jax.jit(jax.vmap(partial(evaluate, env, options.horizon, params, trial_starts)))
-    one = partial(update, env, options.horizon)
+    calls = -(-options.updates // options.chunk)
+    one = partial(update, env, options.horizon, calls * options.chunk)
 
     @partial(jax.jit, donate_argnums=1)
     def program(params, agents):
@@ -304,7 +309,7 @@ def train(options: argparse.Namespace) -> dict[str, Any]:
     agents = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     idle = trial(agents.pilot._replace(actor=jax.tree.map(jnp.zeros_like, agents.pilot.actor)))
     report("no thrust", idle)
-    trials, curves, spent, calls = [trial(agents.pilot)], [], 0.0, -(-options.updates // options.chunk)
+    trials, curves, spent = [trial(agents.pilot)], [], 0.0
     report("before", trials[0])
     began = time.perf_counter()
     program = program.lower(params, agents).compile()
