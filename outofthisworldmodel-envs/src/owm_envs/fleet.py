@@ -15,6 +15,7 @@ from owm_envs.dynamics import PhysicalState
 from owm_envs.env import DockingEnv, EnvState, StepResult, is_sound
 from owm_envs.params import Params
 from owm_envs.task.events import Outcome, safe_norm
+from owm_envs.task.noise_stream import standard_normal
 from owm_envs.task.observation import VIEW_SCALE, ObservationLayout
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.separation import swept_separation
@@ -216,7 +217,6 @@ class FleetEnv:
 
         def look(noise_key, count, relative):
             # As `measure` does for one view, but one draw for all: drawing is what costs.
-            key = jax.random.fold_in(named_key(noise_key, "others"), count)
             noise, distance = params.noise, safe_norm(relative[:, :3])
             total = jnp.stack(
                 [
@@ -225,9 +225,9 @@ class FleetEnv:
                 ],
                 axis=1,
             )
-            errors = jax.random.normal(key, (len(relative), 2, 3), jnp.float32).astype(relative.dtype)
+            errors = standard_normal(named_key(noise_key, "others"), count, relative.size, relative.dtype)
             per_axis = total / jnp.sqrt(jnp.asarray(3, relative.dtype))
-            return relative + (per_axis[..., None] * errors).reshape(relative.shape)
+            return relative + (per_axis[..., None] * errors.reshape(-1, 2, 3)).reshape(relative.shape)
 
         relative = seen[others] - seen[:, None]
         view = jax.vmap(look)(chasers.noise_key, chasers.count, relative)

@@ -1,4 +1,4 @@
-"""A tree of batched arrays as a few matrices: bringing forty small arrays to the host costs more than computing them."""
+"""A tree of batched arrays as a few matrices: bringing forty small arrays to the host costs more than making them."""
 
 from typing import Any
 
