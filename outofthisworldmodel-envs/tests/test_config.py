@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from owm_envs.config import CONFIG_PRESETS, NOISE_PRESETS, REWARD_PRESETS, DockingConfig, load_config
 from owm_envs.config_text import fields, json_schema, note
 from owm_envs.params import params_from_config
+from owm_envs.station import save_hull
 
 
 def test_presets_hold_the_paper_s_numbers():
@@ -147,17 +148,17 @@ HULL = [[[-5.0, -4.0, -3.0], [5.0, 4.0, 3.0]], [[6.0, 0.0, 0.0], [7.0, 1.0, 1.0]
 
 
 def test_a_hull_of_one_s_own(tmp_path):
-    (tmp_path / "mine.toml").write_text(f"boxes = {HULL}\n", encoding="utf-8")
+    save_hull(tmp_path / "mine.csv", np.array(HULL))
     file = tmp_path / "config.toml"
-    file.write_text('hull = "mine.toml"\n', encoding="utf-8")
+    file.write_text('hull = "mine.csv"\n', encoding="utf-8")
     beside, direct = load_config(file), load_config(hull=HULL)
-    assert beside == direct == load_config(hull=str(tmp_path / "mine.toml"))
+    assert beside == direct == load_config(hull=str(tmp_path / "mine.csv"))
     assert DockingConfig.model_validate(tomllib.loads(direct.to_toml())) == direct
     with jax.enable_x64(True):
         np.testing.assert_array_equal(params_from_config(direct).hull, HULL)
     moved = load_config(hull=[[[0.0] * 3, [1.0] * 3], HULL[1]])
     assert moved.structure == direct.structure != load_config().structure
-    with pytest.raises(ValueError, match="no TOML file of `boxes`"):
+    with pytest.raises(ValueError, match="six numbers a line"):
         load_config(hull=file)
     with pytest.raises(ValueError, match="lower corner below"):
         load_config(hull=[[[0.0] * 3, [0.0] * 3]])

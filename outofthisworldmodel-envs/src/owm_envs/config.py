@@ -25,6 +25,7 @@ from owm_envs.config_parts import (
     RewardConfig,
     unit,
 )
+from owm_envs.station.hull import load_hull
 from owm_envs.station.ports import PORT_NAMES, port_index
 
 Fidelity = Literal["iss", "iss-hcw", "iss-numerical"]
@@ -185,7 +186,7 @@ def load_config(
 
     Args:
         config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file. Where its `hull` is the path of
-            a TOML file of boxes, that is looked for beside the file.
+            a file of boxes, as `owm-envs station import` writes it, that is looked for beside the file.
         preset: a key of `CONFIG_PRESETS`.
         overrides: fields of `DockingConfig`; nested mappings are merged.
 
@@ -247,11 +248,7 @@ def _expand(values: Mapping[str, Any]) -> dict[str, Any]:
             value = _preset(expanded[key], presets, key)
             expanded[key] = value.model_dump() if isinstance(value, BaseModel) else value
     if _is_path(expanded.get("hull")):
-        with open(expanded["hull"], "rb") as file:
-            try:
-                expanded["hull"] = tomllib.load(file)["boxes"]
-            except (tomllib.TOMLDecodeError, KeyError) as error:
-                raise ValueError(f"hull {os.fspath(expanded['hull'])!r} is no TOML file of `boxes`: {error}") from None
+        expanded["hull"] = load_hull(expanded["hull"]).tolist()
     return expanded
 
 
