@@ -51,8 +51,6 @@ def place():
     """Puts a docking state at a relative view at rest with respect to its bookkeeping."""
 
     def placed(env, params, state, view):
-        view = np.asarray(view, np.float64)
-        physics = env.dynamics.init(params, state.physics.epoch, jax.numpy.asarray(view))
-        return state._replace(physics=physics, view=jax.numpy.asarray(view))
+        return env.relocate(params, state, jax.numpy.asarray(np.asarray(view, np.float64)))
 
     return placed

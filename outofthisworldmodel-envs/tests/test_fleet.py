@@ -40,9 +40,7 @@ def fleet():
 
 def by_chaser(state, take):
     """`take` on every leaf that has an axis of chasers."""
-    physics = state.physics._replace(
-        chaser=jax.tree.map(take, state.physics.chaser), actuator=take(state.physics.actuator)
-    )
+    physics = state.physics._replace(chaser=jax.tree.map(take, state.physics.chaser))
     return jax.tree.map(take, state._replace(physics=None))._replace(physics=physics)
 
 
@@ -56,9 +54,9 @@ def place_fleet(env, params, state, views):
     """A state, of whatever fidelity, as one of `env` with its chasers at views (3, 13)."""
     before = state.chasers.physics
     physics = initial(env.docking.dynamics)(params, before.epoch, views)
-    actuator = jnp.zeros((3, env.config.chaser.actuation_delay, 6))
-    physics = before._replace(chaser=physics.chaser, chief=physics.chief[0], actuator=actuator)
-    return state._replace(chasers=state.chasers._replace(physics=physics, view=jnp.asarray(views)))
+    physics = before._replace(chaser=physics.chaser, chief=physics.chief[0])
+    unknown = state.chasers.room._replace(now=jnp.zeros(3))
+    return state._replace(chasers=state.chasers._replace(physics=physics, view=jnp.asarray(views), room=unknown))
 
 
 def coasting(positions, velocities=0.0):

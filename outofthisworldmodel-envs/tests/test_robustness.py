@@ -74,7 +74,7 @@ def fly():
         def run(port, view, action):
             state, _ = env.reset(params, key=jax.random.key(0), port=port)
             view = view.at[6:10].divide(jnp.linalg.norm(view[6:10]))
-            state = state._replace(physics=env.dynamics.init(params, state.physics.epoch, view), view=view)
+            state = env.relocate(params, state, view)
 
             def step(state, _):
                 state, result = env.step(params, state, action)

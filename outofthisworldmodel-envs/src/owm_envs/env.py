@@ -249,6 +249,12 @@ class DockingEnv:
         earned = jnp.where(was_running, earned, 0).astype(state.view.dtype)
         return observed, StepResult(observation, earned, terminated, truncated)
 
+    def relocate(self, params: Params, state: EnvState, view: Float[Array, "13"]) -> EnvState:
+        """The same episode with its chaser at another true relative view; the next step measures its clearance."""
+        params = episode_params(params, state.drawn)
+        physics = self.dynamics.init(params, state.physics.epoch, view)
+        return state._replace(physics=physics, view=view, room=state.room._replace(now=jnp.zeros_like(state.room.now)))
+
     def info(self, params: Params, state: EnvState) -> dict[str, Array]:
         """The truth behind a state: for recording and scoring, never for a policy.
 

@@ -43,11 +43,6 @@ class FleetState(NamedTuple):
         return self.chasers.next_key[..., 0]
 
 
-# Where the axis of the chasers stands in what `vmap` maps over; None is shared.
-_SHARED = PhysicalState(epoch=None, elapsed=None, chief=None, chaser=0)
-_CHASERS = EnvState(*[0] * len(EnvState._fields))._replace(physics=_SHARED)
-
-
 @dataclass(frozen=True)
 class FleetLayout:
     """The observation of one chaser: what `DockingEnv` shows it, then each other chaser in the order of their indices.
@@ -117,6 +112,7 @@ class FleetEnv:
             raise ValueError(f"num_chasers must be from 1 to {len(ports)}, the configured ports, got {num_chasers}")
         self.num_chasers = num_chasers
         self.layout = FleetLayout(self.docking.layout, (num_chasers - 1) * observe_others)
+        self._axes = _chaser_axes(self.config)
 
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
@@ -145,13 +141,13 @@ class FleetEnv:
         chasers = jax.vmap(self.docking.place, (None, Start(None, 0, 0), 0, 0, 0))(
             params, starts._replace(epoch=starts.epoch[0]), drawn, episode_keys, next_keys
         )
-        chasers = jax.tree.map(
-            lambda axis, leaf: leaf[0] if axis is None else leaf, _CHASERS, chasers, is_leaf=lambda x: x is None
+        chasers = _by_axis(
+            lambda axis, part: jax.tree.map(lambda leaf: leaf[0], part) if axis is None else part, self._axes, chasers
         )
         apart = self._separations(params, chasers.view, chasers.view)
         separation = jnp.min(apart, axis=1)
         chasers = chasers._replace(collided=chasers.collided | (separation <= 0))
-        chasers, own = jax.vmap(self.docking.observe, (None, _CHASERS), (_CHASERS, 0))(params, chasers)
+        chasers, own = jax.vmap(self.docking.observe, (None, self._axes), (self._axes, 0))(params, chasers)
         return FleetState(chasers, separation), self._observations(params, chasers, own)
 
     def step(self, params: Params, state: FleetState, actions: Float[Array, "N 6"]) -> tuple[FleetState, StepResult]:
@@ -161,15 +157,15 @@ class FleetEnv:
             The state, and a `StepResult` whose every entry has a leading axis N.
         """
         docking, before = self.docking, state.chasers
-        begun, wrenches = jax.vmap(docking.begin, (None, _CHASERS, 0), (_CHASERS, 0))(params, before, actions)
-        advance = jax.vmap(docking.advance, (None, _CHASERS, 0), (_CHASERS, 0))
+        begun, wrenches = jax.vmap(docking.begin, (None, self._axes, 0), (self._axes, 0))(params, before, actions)
+        advance = jax.vmap(docking.advance, (None, self._axes, 0), (self._axes, 0))
 
         def substep(carry, _):
             now, touched, separation = carry
             running = now.outcome == Outcome.RUNNING
             after, touches = advance(params, now, wrenches)
             sound = jax.vmap(is_sound)(after.view)
-            after = _where_running(running & sound, after, now)
+            after = _where_running(self._axes, running & sound, after, now)
             # Two that have both ended are at rest: nothing new can happen between them.
             apart = self._separations(params, now.view, after.view)
             nearest = jnp.min(jnp.where(running[:, None] | running, apart, jnp.inf), axis=1)
@@ -189,7 +185,7 @@ class FleetEnv:
         else:
             carry, _ = jax.lax.scan(substep, carry, length=self.config.steps_per_action)
         ended, touched, separation = carry
-        chasers, result = jax.vmap(docking.finish, (None, _CHASERS, _CHASERS, 0, 0), (_CHASERS, 0))(
+        chasers, result = jax.vmap(docking.finish, (None, self._axes, self._axes, 0, 0), (self._axes, 0))(
             params, before, ended, wrenches, touched
         )
         observations = self._observations(params, chasers, result.observation)
@@ -197,7 +193,7 @@ class FleetEnv:
 
     def info(self, params: Params, state: FleetState) -> dict[str, Array]:
         """The truth behind a state, for recording and scoring: `DockingEnv.info` of each chaser, and `separation`."""
-        info = jax.vmap(self.docking.info, (None, _CHASERS))(params, state.chasers)
+        info = jax.vmap(self.docking.info, (None, self._axes))(params, state.chasers)
         return {**info, "separation": state.separation}
 
     def _separations(self, params, before, after):
@@ -261,11 +257,23 @@ def _separate_starts(params: Params, episode_keys: Key[Array, "N"], ports: Int[A
     return jax.tree.map(lambda leaf: leaf[chosen], sets)
 
 
-def _where_running(running: Bool[Array, "N"], new: EnvState, old: EnvState) -> EnvState:
+def _chaser_axes(config: DockingConfig) -> EnvState:
+    """Where the axis of the chasers stands in what `vmap` maps over; None is shared."""
+    makes_up_for_rounding = config.fidelity == "iss-numerical" and config.precision == "float32"
+    lost = (None, None, 0) if makes_up_for_rounding else None
+    shared = PhysicalState(epoch=None, elapsed=None, chief=None, chaser=0, lost=lost)
+    return EnvState(*[0] * len(EnvState._fields))._replace(physics=shared)
+
+
+def _by_axis(fn, axes: EnvState, *states: EnvState) -> EnvState:
+    return jax.tree.map(fn, axes, *states, is_leaf=lambda axis: axis is None)
+
+
+def _where_running(axes: EnvState, running: Bool[Array, "N"], new: EnvState, old: EnvState) -> EnvState:
     """Chasers that have ended stay as they are; clock and station go on as long as one has not."""
 
     def choose(axis, new, old):
         on = jnp.any(running) if axis is None else running
         return jax.tree.map(lambda n, o: jnp.where(on.reshape(on.shape + (1,) * (n.ndim - on.ndim)), n, o), new, old)
 
-    return jax.tree.map(choose, _CHASERS, new, old, is_leaf=lambda x: x is None)
+    return _by_axis(choose, axes, new, old)

@@ -59,8 +59,7 @@ class _Trial(NamedTuple):
 def check_env(subject: Dynamics | DockingEnv | gymnasium.Env | str, **overrides: Any) -> None:
     """Check equations of motion, and the environment over them, as this package's own are checked.
 
-    In this order: types and shapes (dtype follows the inputs, a state that `lax.scan` carries, the actuator buffer
-    left alone); one trace per shape; jit equals eager; `init` inverts `relative_state`, at any time step; clocks;
+    In this order: types and shapes (dtype follows the inputs, a state that `lax.scan` carries); one trace per shape; jit equals eager; `init` inverts `relative_state`, at any time step; clocks;
     unit quaternions; velocity and rate as the derivatives of position and attitude; vmap equals a loop; finite
     gradients; the same seed, the same episode; nothing but finite numbers under extreme actions; and Gymnasium's own
     `check_env` on the adapter. Most of the time it takes is compilation.
@@ -147,8 +146,6 @@ def _check_types(env: DockingEnv) -> None:
 
         state = _abstract("init", dynamics.init, params, epoch, view)
         _expect(isinstance(state, PhysicalState), "types", "init to return a PhysicalState", type(state).__name__)
-        commands = jax.ShapeDtypeStruct((2, 6), dtype)
-        state = state._replace(actuator=commands)  # with actuators that are late
         after = _abstract("step", advance, state)
         _expect(
             jax.tree.structure(after) == jax.tree.structure(state),
