@@ -59,10 +59,11 @@ class _Trial(NamedTuple):
 def check_env(subject: Dynamics | DockingEnv | gymnasium.Env | str, **overrides: Any) -> None:
     """Check equations of motion, and the environment over them, as this package's own are checked.
 
-    In this order: types and shapes (dtype follows the inputs, a state that `lax.scan` carries); one trace per shape; jit equals eager; `init` inverts `relative_state`, at any time step; clocks;
-    unit quaternions; velocity and rate as the derivatives of position and attitude; vmap equals a loop; finite
-    gradients; the same seed, the same episode; nothing but finite numbers under extreme actions; and Gymnasium's own
-    `check_env` on the adapter. Most of the time it takes is compilation.
+    In this order: types and shapes (dtype follows the inputs, a state that `lax.scan` carries); one trace per shape;
+    jit equals eager; `init` inverts `relative_state`, at any time step; clocks; unit quaternions; velocity and rate
+    as the derivatives of position and attitude; vmap equals a loop; finite gradients; the same seed, the same
+    episode; nothing but finite numbers under extreme actions; and Gymnasium's own `check_env` on the adapter. Most of
+    the time it takes is compilation.
 
     Args:
         subject: a `Dynamics` of your own (flown as fidelity "iss"), a `DockingEnv`, a Gymnasium environment over one,
