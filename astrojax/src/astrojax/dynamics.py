@@ -105,7 +105,7 @@ def accel_relative(
     ballistics: Ballistics,
     model: ForceModel = ForceModel(),
 ) -> Vector3:
-    """Acceleration [m/s^2] of a vehicle less that of a chief nearby, without subtracting the two.
+    """Acceleration [m/s^2] of a vehicle less that of a chief nearby, without subtracting two attractions.
 
     Args:
         bodies: positions of the Sun and the Moon, from `celestial_bodies`.
@@ -114,15 +114,18 @@ def accel_relative(
         chief_ballistics, ballistics: drag of the chief and of the vehicle.
         model: static.
 
-    Validity: any separation but for the zonal terms, which are expanded about the middle of the two: their error is of
-    third order in separation over distance, 1e-14 m/s^2 at 1 km. In float32 it keeps the precision of the separation.
+    Validity: any separation. In float32 it keeps the precision of the separation: there the zonal terms, a thousandth of
+    the whole, are expanded about the middle of the two, with an error of third order, 1e-14 m/s^2 at 1 km; float64 can
+    afford to subtract them.
 
     Source: Battin's f(q), as in `accel_third_body`: the difference of two attractions is that of a body seen from the
     chief.
     """
     r, rho = chief[:3], relative[:3]
     accel = accel_third_body(rho, -r, GM_EARTH)
-    if model.zonal_degree:
+    if model.zonal_degree and r.dtype == jnp.float64:
+        accel = accel + (accel_zonal(r + rho, model.zonal_degree) - accel_zonal(r, model.zonal_degree))
+    elif model.zonal_degree:
         _, gradient = jax.jvp(lambda x: accel_zonal(x, model.zonal_degree), (r + 0.5 * rho,), (rho,))
         accel = accel + gradient
     if model.sun:
