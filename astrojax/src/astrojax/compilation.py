@@ -1,7 +1,10 @@
 """What XLA should do with a long chain of elementwise operations: keep the results that many read."""
 
+import functools
+import operator
+
 import jax
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 CPU_OPTIONS: dict[str, bool | str] = {
     "xla_disable_hlo_passes": "cse_barrier_expander",
@@ -15,6 +18,16 @@ splits each of its short loops between them."""
 def stored(x: PyTree) -> PyTree:
     """The same arrays, computed once: a hint not to repeat their computation in the loop of each reader."""
     return jax.lax.optimization_barrier(x)
+
+
+def summed(terms: Array) -> Array:
+    """Sum over a short first axis, written out: XLA fuses additions with their neighbours, but not a reduction."""
+    return functools.reduce(operator.add, terms)
+
+
+def all_of(conditions: Array) -> Array:
+    """Whether all along a short first axis hold, written out as `summed` is."""
+    return functools.reduce(operator.and_, conditions)
 
 
 def compiler_options() -> dict[str, bool | str] | None:

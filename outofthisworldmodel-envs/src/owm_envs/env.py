@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from astrojax.compilation import stored
+from astrojax.compilation import all_of, stored, summed
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics
@@ -28,7 +28,7 @@ _BEYOND_REASON = 1e9
 
 def is_sound(view: Float[Array, "13"]) -> Bool[Array, ""]:
     """Whether dynamics have come to a usable relative view."""
-    return jnp.all(jnp.abs(view) < _BEYOND_REASON)  # false of NaN
+    return all_of(jnp.abs(view) < _BEYOND_REASON)  # false of NaN
 
 
 class EnvState(NamedTuple):
@@ -205,7 +205,7 @@ class DockingEnv:
     def begin(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, Float[Array, "6"]]:
         """Before a decision's first simulation step: the state, ended if the action is not finite, and the wrench."""
         params = episode_params(params, state.drawn)
-        valid = jnp.all(jnp.isfinite(action))
+        valid = all_of(jnp.isfinite(action))
         wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(state.view.dtype), params.chaser.wrench_limit)
         invalid = (state.outcome == Outcome.RUNNING) & ~valid
         outcome = jnp.where(invalid, Outcome.INVALID_ACTION, state.outcome).astype(jnp.int32)
@@ -284,7 +284,7 @@ class DockingEnv:
         physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
-        sign = jnp.where(jnp.sum(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
+        sign = jnp.where(summed(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
         view = stored(view.at[6:10].multiply(sign))
 
         room, touches = advance_room(state.room, state.view[:3], view[:3], params.chaser.radius, self._boxes(params))
@@ -293,7 +293,7 @@ class DockingEnv:
         closest = jax.tree.map(lambda new, old: jnp.where(nearer, new, old), approach, state.closest)
 
         docked = is_docked(jnp.stack(approach[:4]), params.docking)
-        escaped = jnp.sum(view[:3] ** 2) > params.escape_radius**2
+        escaped = summed(view[:3] ** 2) > params.escape_radius**2
         crashed = touches & self.structure.collision_terminates
         outcome = jnp.select(
             [crashed, docked, escaped], [Outcome.COLLIDED, Outcome.DOCKED, Outcome.ESCAPED], Outcome.RUNNING

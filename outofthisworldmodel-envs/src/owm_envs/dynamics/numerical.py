@@ -23,7 +23,7 @@ from astrojax.attitude import (
     rotation_to_quat,
     torque_gravity_gradient,
 )
-from astrojax.compilation import stored
+from astrojax.compilation import stored, summed
 from astrojax.constants import GM_EARTH
 from astrojax.dynamics import (
     Ballistics,
@@ -54,7 +54,7 @@ def _unit_attitude(motion, increment):
     """The increment that leaves the quaternion at length one."""
     dt, orbit, turn = increment
     ahead = motion[2].attitude + turn.attitude
-    stretch = jax.lax.rsqrt(jnp.sum(ahead * ahead)) - 1
+    stretch = jax.lax.rsqrt(summed(ahead * ahead)) - 1
     return dt, orbit, turn._replace(attitude=turn.attitude + stretch * ahead)
 
 

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from astrojax.compilation import summed
 from owm_envs.task.selected import apply_where
 
 _SHARPNESS = 0.95
@@ -40,7 +41,7 @@ def advance_room(
     twentieth: far from the hull once in many steps, in a batch for the few episodes that need it.
     """
     room, start, end, radius, boxes = jax.lax.stop_gradient((room, start, end, radius, boxes))
-    left = room.now - jnp.sqrt(jnp.sum((end - start) ** 2))
+    left = room.now - jnp.sqrt(summed((end - start) ** 2))
     unsure = ~(left > _SHARPNESS * jnp.maximum(room.least, 0))
     now = _measured_where(unsure, left, start, end, radius, boxes)
     return Room(now, jnp.minimum(room.least, now)), now <= 0

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from astrojax.compilation import all_of, summed
 from owm_envs.params import DockingParams
 
 
@@ -39,11 +40,11 @@ def error_norms(error: Float[Array, "12"]) -> Float[Array, "4"]:
 
 def safe_norm(vectors: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """Euclidean norm over the last axis with a zero gradient at the origin."""
-    squared = jnp.sum(vectors * vectors, axis=-1)
+    squared = summed(jnp.moveaxis(vectors * vectors, -1, 0))
     positive = squared > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 
 
 def is_docked(norms: Float[Array, "4"], tolerances: DockingParams) -> Bool[Array, ""]:
     """Whether all four errors are below their tolerances."""
-    return jnp.all(norms < jnp.stack(tolerances))
+    return all_of(norms < jnp.stack(tolerances))

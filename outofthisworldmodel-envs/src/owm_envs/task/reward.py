@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from astrojax.compilation import summed
 from owm_envs.params import Params
 from owm_envs.task.events import safe_norm
 
@@ -43,7 +44,7 @@ def reward(
         + gate * w["rate"] * pseudo_huber(rate, w["delta_rate"], w["sigma_rate"])
         + w["progress"] * (distance - previous_distance) / w["sigma_position"]
         + near * (w["proximity"] + w["alignment"] * jnp.exp(-angle / w["sigma_alignment"]))
-        + w["effort"] * jnp.sum(effort)
+        + w["effort"] * summed(effort)
         + w["collision"] * collided
         + w["dock"] * docked
         + w["escape"] * escaped
