@@ -19,23 +19,16 @@ def apply_where(mask: Bool[Array, "B"], fn: Callable[..., PyTree], otherwise: Py
     """
     size = mask.shape[0]
     chunk = min(chunk, size)
-    count = jnp.sum(mask, dtype=jnp.int32)
 
-    def chosen(results):
-        everyone = jnp.arange(size, dtype=jnp.int32)
-        place = jnp.cumsum(mask, dtype=jnp.int32) - 1
-        order = (
-            jnp.full(size + chunk, size, jnp.int32).at[jnp.where(mask, place, size + chunk)].set(everyone, mode="drop")
-        )
+    def step(carry):
+        # A loop, not a conditional: XLA copies what passes through a branch.
+        due, results = carry
+        place = jnp.cumsum(due, dtype=jnp.int32) - 1
+        slot = jnp.where(due & (place < chunk), place, chunk)
+        index = jnp.full(chunk, size, jnp.int32).at[slot].set(jnp.arange(size, dtype=jnp.int32), mode="drop")
+        picked = jax.tree.map(lambda x: x.at[index].get(mode="clip"), args)
+        fresh = jax.vmap(fn)(*picked)
+        results = jax.tree.map(lambda everyone, new: everyone.at[index].set(new, mode="drop"), results, fresh)
+        return due & (place >= chunk), results
 
-        def step(carry):
-            done, results = carry
-            index = jax.lax.dynamic_slice(order, (done,), (chunk,))
-            picked = jax.tree.map(lambda x: x.at[index].get(mode="clip"), args)
-            fresh = jax.vmap(fn)(*picked)
-            results = jax.tree.map(lambda all_, new: all_.at[index].set(new, mode="drop"), results, fresh)
-            return done + chunk, results
-
-        return jax.lax.while_loop(lambda carry: carry[0] < count, step, (jnp.zeros((), jnp.int32), results))[1]
-
-    return jax.lax.cond(count > 0, chosen, lambda results: results, otherwise)
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), step, (mask, otherwise))[1]
