@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from owm_envs.station import hull_boxes
-from owm_envs.task.collision import advance_room, room_at, swept_clearance, swept_distance
+from owm_envs.task.collision import Room, advance_room, room_at, swept_clearance, swept_distance
 
 RADIUS = 2.25
 clearance = jax.jit(swept_clearance)
@@ -107,7 +107,7 @@ def least_distance(start, end, boxes):
         return np.linalg.norm(np.maximum(np.maximum(boxes[:, 0] - point, point - boxes[:, 1]), 0), axis=-1)
 
     low, high = np.zeros(len(boxes)), np.ones(len(boxes))
-    for _ in range(80):
+    for _ in range(50):
         left, right = low + (high - low) / 3, high - (high - low) / 3
         lower = gaps(left) < gaps(right)
         low, high = np.where(lower, low, left), np.where(lower, right, high)
@@ -137,9 +137,9 @@ def grazing(box, axis, gap, radius):
 
 
 @pytest.mark.parametrize(
-    ("kind", "dtype", "margin"), [("hull", np.float64, 1e-7), ("random", np.float64, 1e-7), ("hull", np.float32, 2e-4)]
+    ("kind", "dtype", "margin"), [("hull", np.float64, 3e-7), ("random", np.float64, 3e-7), ("hull", np.float32, 2e-4)]
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_room_along_a_polyline(kind, dtype, margin, data):
     if kind == "hull":
@@ -210,7 +210,7 @@ def test_a_crowd_in_contact_with_the_hull(crowd):
     assert not touched[::5].any()
     for i, track in enumerate(tracks[::4]):
         one = jax.tree.map(lambda x, i=i: x[4 * i], (rooms, touched))
-        check_polyline(track, RADIUS, hull_boxes(), *one, 1e-7)
+        check_polyline(track, RADIUS, hull_boxes(), *one, 3e-7)
 
 
 def test_a_batch_equals_its_singles_bit_for_bit(crowd):
@@ -226,17 +226,26 @@ def test_a_batch_equals_its_singles_bit_for_bit(crowd):
 
 
 def test_a_radius_and_boxes_of_each_episode(crowd):
-    """Whatever is batched, and whatever is not."""
-    tracks, _ = crowd
-    box = np.array([[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]])
-    radii, boxes = np.linspace(0.1, 3, 8), box + np.linspace(0, 20, 8)[:, None, None, None]
+    """One track, a batch of spheres and of boxes."""
+    track = crowd[0][0]
+    radii = np.linspace(0.1, 3, 8)
+    boxes = track[3] + np.array([[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]]) + np.linspace(0, 20, 8)[:, None, None, None]
     with jax.enable_x64(True):
-        each = jax.jit(jax.vmap(fly))(tracks[:8], radii, boxes)
-        still = jax.jit(jax.vmap(fly, (None, 0, None)))(tracks[0], radii, box)
+        each = jax.jit(jax.vmap(fly, (None, 0, 0)))(track, radii, boxes)
+        assert each[1].any() and not each[1].all(axis=1).all()
         for i in range(8):
-            mine, its = (jax.tree.map(lambda x, i=i: x[i], of_all) for of_all in (each, still))
-            jax.tree.map(np.testing.assert_array_equal, mine, flown(tracks[i], radii[i], boxes[i]))
-            jax.tree.map(np.testing.assert_array_equal, its, flown(tracks[0], radii[i], box))
+            mine = jax.tree.map(lambda x, i=i: x[i], each)
+            jax.tree.map(np.testing.assert_array_equal, mine, flown(track, radii[i], boxes[i]))
+
+
+def test_many_histories_of_one_move():
+    box = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]])
+    before = Room(np.array([9.0, 0.5]), np.array([5.0, 0.5]), np.array([5.0, 0.5]))
+    move = np.array([11.0, 0.0, 0.0]), np.array([10.0, 0.0, 0.0])
+    after, touched = jax.vmap(advance_room, (0, None, None, None, None))(before, *move, 1.0, box)
+    np.testing.assert_allclose(after.now, [8, 8], rtol=1e-6)  # kept, and measured
+    np.testing.assert_allclose(after.least, [5, 0.5])
+    assert not touched.any()
 
 
 def test_gradients_stop_here():
@@ -249,4 +258,4 @@ def test_gradients_stop_here():
     tracks = np.random.default_rng(0).normal(size=(3, MOVES + 1, 3)) * 4
     gradient = jax.jit(jax.grad(lambda tracks: jnp.sum(jax.vmap(total)(tracks))))(tracks)
     np.testing.assert_array_equal(gradient, 1)
-    np.testing.assert_array_equal(jax.jit(jax.grad(total))(tracks[0]), 1)
+    np.testing.assert_array_equal(jax.grad(total)(tracks[0]), 1)

@@ -61,6 +61,8 @@ def _measured_in_batch(axis_size, in_batched, unsure, left, *sphere):
 
     unsure, left = spread(unsure, in_batched[0]), spread(left, in_batched[1])
     batched = [x for x, b in zip(sphere, in_batched[2:]) if b]
+    if not batched:  # many histories of one move
+        return jnp.where(unsure, swept_clearance(*sphere), left), True
 
     def measure(*own):
         own = iter(own)
