@@ -18,6 +18,7 @@ import astrojax
 from astrojax import (
     atmosphere,
     attitude,
+    compilation,
     drag,
     dynamics,
     eclipse,
@@ -102,6 +103,24 @@ def _forces(state, mass):
     return dynamics.accel_gravity_and_perturbations(_bodies(state.dtype), state, mass, 50.0, 2.2)
 
 
+def _relative(chief, separation, mass):
+    station, own = dynamics.Ballistics(4.2e5, 1500.0, 2.2), dynamics.Ballistics(mass, 50.0, 2.2)
+    return dynamics.accel_relative(_bodies(chief.dtype), chief, separation, station, own)
+
+
+def _rk4_increment(state, dt, gm):
+    def f(t, y):
+        return jnp.concatenate([y[3:], gravity.accel_two_body(y[:3], gm)])
+
+    return integrators.rk4_increment(f, 0.0, state, dt)
+
+
+def _compensated(y, lost, increment):
+    """The sum alone: what it has lost is rounding, of no agreed value."""
+    total, lost = integrators.compensated_add({"y": y}, {"y": lost}, {"y": increment})
+    return total["y"] - lost["y"]
+
+
 _STM = relative.stm_hcw
 
 
@@ -114,6 +133,7 @@ def _matrix(q):
 
 GM = A(3.986e14)
 ACCEL = A([1.0, -2.0, 3.0])
+DIRECTION = A([0.5, -0.7, 0.4, 1e-3, -2e-3, 5e-4])
 REL = A([100.0, 50.0, -20.0, 0.1, 0.2, 0.3])
 
 CASES = [
@@ -193,7 +213,16 @@ CASES = [
     case("accel_drag", drag.accel_drag, (LEO, LEO_V, A(3e-12), A(1.2e4), A(50.0), A(2.2))),
     case("accel_gravity_and_perturbations", _forces, (STATE, A(1.2e4))),
     case("derivative", _derivative, (STATE, A(1.2e4))),
+    case(
+        "accel_relative",
+        _relative,
+        *((STATE, size * DIRECTION, A(1.2e4)) for size in (1.0, 200.0, 5e3)),
+        rtol32=1e-5,
+    ),
     case("rk4_step", _rk4, (STATE, A(10.0), GM)),
+    case("rk4_increment", _rk4_increment, (STATE, A(10.0), GM)),
+    case("compensated_add", _compensated, (ACCEL, A([1e-4, -2e-4, 3e-4]), 1e-3 * ACCEL)),
+    case("stored", compilation.stored, (ACCEL,)),
     # relative motion
     case("rotation_eci_to_rtn", relative.rotation_eci_to_rtn, (STATE,)),
     case("rtn_rate", relative.rtn_rate, (STATE, ACCEL)),

@@ -1,3 +1,5 @@
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -6,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from owm_envs.station import hull_boxes
-from owm_envs.task.collision import swept_clearance, swept_distance
+from owm_envs.task.collision import Room, advance_room, room_at, swept_clearance, swept_distance
 
 RADIUS = 2.25
 clearance = jax.jit(swept_clearance)
@@ -74,3 +76,186 @@ def test_batch_equals_single():
         batched = jax.jit(jax.vmap(swept_clearance, (0, 0, None, None)))(start, end, RADIUS, boxes)
         single = [float(clearance(s, e, RADIUS, boxes)) for s, e in zip(start, end)]
     np.testing.assert_allclose(batched, single, atol=1e-12)
+
+
+MOVES = 6
+vectors = {size: st.tuples(*[st.floats(-size, size)] * 3) for size in (0.3, 4, 28)}
+moves = st.one_of(st.just((0.0, 0.0, 0.0)), *vectors.values())  # at rest, and up to 48 m at once
+
+
+def fly(points, radius, boxes):
+    """The room, and whether a box was touched, after each move of a sphere along a polyline."""
+
+    def move(carry, end):
+        room, start = carry
+        room, touched = advance_room(room, start, end, radius, boxes)
+        return (room, end), (room, touched)
+
+    start = room_at(points[0], radius, boxes)
+    return jax.lax.scan(move, (start, points[0]), points[1:])[1]
+
+
+flown = jax.jit(fly)
+flown_together = jax.jit(jax.vmap(fly, (0, None, None)))
+
+
+def least_distance(start, end, boxes):
+    """Least distance of a segment to any box, by trisection: the distance to a convex body is convex along a line."""
+
+    def gaps(t):
+        point = start + t[:, None] * (end - start)
+        return np.linalg.norm(np.maximum(np.maximum(boxes[:, 0] - point, point - boxes[:, 1]), 0), axis=-1)
+
+    low, high = np.zeros(len(boxes)), np.ones(len(boxes))
+    for _ in range(50):
+        left, right = low + (high - low) / 3, high - (high - low) / 3
+        lower = gaps(left) < gaps(right)
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+    return min(gaps(t).min() for t in (low, high, np.zeros(len(boxes)), np.ones(len(boxes))))
+
+
+def check_polyline(points, radius, boxes, rooms, touched, margin):
+    """What `Room` promises, against distances found otherwise."""
+    true_least = least_distance(points[0], points[0], boxes) - radius
+    longest, contact = 0.0, true_least <= 0
+    for k, (start, end) in enumerate(itertools.pairwise(points)):
+        swept = least_distance(start, end, boxes) - radius
+        assert touched[k] == (swept <= 0) or abs(swept) < margin
+        contact |= bool(touched[k])
+        true_least, longest = min(true_least, swept), max(longest, np.linalg.norm(end - start))
+        assert rooms.now[k] <= least_distance(end, end, boxes) - radius + margin
+        assert rooms.least[k] <= true_least + margin
+        assert rooms.least[k] >= min(true_least, 0.95 * max(true_least - longest / 2, 0)) - margin
+        assert (rooms.least[k] <= 0) == contact or abs(true_least) < margin
+
+
+def grazing(box, axis, gap, radius):
+    """Ends of a pass along a face of a box, `gap` m from contact."""
+    middle, ahead, aside = box.mean(0), np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
+    beside = middle + aside * ((box[1] - box[0])[(axis + 1) % 3] / 2 + radius + gap)
+    return beside - 24 * ahead, beside + 24 * ahead
+
+
+@pytest.mark.parametrize(
+    ("kind", "dtype", "margin"), [("hull", np.float64, 3e-7), ("random", np.float64, 3e-7), ("hull", np.float32, 2e-4)]
+)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_room_along_a_polyline(kind, dtype, margin, data):
+    if kind == "hull":
+        boxes, radius = hull_boxes(), RADIUS
+    else:
+        lower = np.array(data.draw(st.tuples(*[points] * 5)))
+        boxes = np.stack([lower, lower + data.draw(st.tuples(*[st.tuples(*[st.floats(0.01, 20)] * 3)] * 5))], axis=1)
+        radius = data.draw(st.floats(0.01, 5))
+    track = [np.array(data.draw(points))]
+    if data.draw(st.booleans()):
+        box, gap = boxes[data.draw(st.integers(0, len(boxes) - 1))], data.draw(st.sampled_from([-0.01, 1e-6, 0.01]))
+        track = list(grazing(box, data.draw(st.integers(0, 2)), gap, radius))
+    while len(track) <= MOVES:
+        track.append(track[-1] + data.draw(moves))
+    track, boxes, radius = (np.asarray(x, dtype) for x in (track, boxes, radius))
+    with jax.enable_x64(True):
+        rooms, touched = jax.device_get(flown(track, radius, boxes))
+    assert rooms.now.dtype == dtype
+    check_polyline(*(x.astype(np.float64) for x in (track, radius, boxes)), rooms, touched, margin)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("travel", [0.2, 50.0])
+def test_grazing_a_face_is_told_from_missing_it(axis, travel):
+    box = np.array([[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]])
+    with jax.enable_x64(True):
+        for gap in (-1e-9, 1e-9):
+            start, end = grazing(box[0], axis, gap, RADIUS)
+            halfway, ahead = (start + end) / 2, np.eye(3)[axis] * travel / 2
+            stop = [halfway + ahead] * (MOVES - 1)
+            _, touched = flown(np.array([halfway - ahead, halfway + ahead, *stop]), RADIUS, box)
+            assert touched[0] == (gap < 0)
+
+
+@pytest.mark.parametrize("travel", [0.2, 5.0, 50.0])
+def test_a_move_does_not_tunnel(travel):
+    panel = np.array([[[-5.0, -0.01, -5.0], [5.0, 0.01, 5.0]]])
+    along = np.linspace(-travel / 2, travel * (MOVES - 0.5), MOVES + 1)
+    _, touched = flown(np.stack([np.ones(MOVES + 1), along, np.full(MOVES + 1, 2.0)], axis=1), 0.05, panel)
+    assert list(touched) == [True] + [False] * (MOVES - 1)
+
+
+def test_the_least_does_not_creep_down_between_measurements():
+    """A kilometre to and fro, a metre at a time, a hundred metres off."""
+    box = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]])
+    to_and_fro = np.array([[102.0, k % 2, 0.0] for k in range(1000)])
+    rooms, touched = flown(to_and_fro, 1.0, box)
+    assert not touched.any()
+    assert 0.95 * 99.5 <= rooms.least[-1] <= 100
+    assert rooms.least[-1] == rooms.least.min()
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """64 polylines about the hull, most of them in contact with it at some time, and their rooms as one batch."""
+    generator = np.random.default_rng(3)
+    inside = hull_boxes().mean(1)[generator.integers(0, 313, 64)]
+    tracks = np.cumsum(generator.normal(size=(64, MOVES + 1, 3)) * generator.choice([0.1, 3, 15], (64, 1, 1)), axis=1)
+    tracks += (inside - tracks[:, MOVES // 2])[:, None]  # half the way through a box
+    tracks[::5] += [0, 0, 200.0]
+    with jax.enable_x64(True):
+        return tracks, jax.device_get(flown_together(tracks, RADIUS, hull_boxes()))
+
+
+def test_a_crowd_in_contact_with_the_hull(crowd):
+    tracks, (rooms, touched) = crowd
+    assert touched.sum(axis=0).min() > 20  # of 64 at once, at every move
+    assert not touched[::5].any()
+    for i, track in enumerate(tracks[::4]):
+        one = jax.tree.map(lambda x, i=i: x[4 * i], (rooms, touched))
+        check_polyline(track, RADIUS, hull_boxes(), *one, 3e-7)
+
+
+def test_a_batch_equals_its_singles_bit_for_bit(crowd):
+    tracks, batch = crowd
+    with jax.enable_x64(True):
+        single = [flown(track, RADIUS, hull_boxes()) for track in tracks]
+        nested = jax.jit(jax.vmap(jax.vmap(fly, (0, None, None)), (0, None, None)))
+        rows = nested(tracks.reshape(4, 16, *tracks.shape[1:]), RADIUS, hull_boxes())
+    single = jax.tree.map(lambda *leaves: np.stack(leaves), *single)
+    rows = jax.tree.map(lambda x: np.reshape(x, (64, *x.shape[2:])), rows)
+    jax.tree.map(np.testing.assert_array_equal, single, batch)
+    jax.tree.map(np.testing.assert_array_equal, rows, batch)
+
+
+def test_a_radius_and_boxes_of_each_episode(crowd):
+    """One track, a batch of spheres and of boxes."""
+    track = crowd[0][0]
+    radii = np.linspace(0.1, 3, 8)
+    boxes = track[3] + np.array([[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]]) + np.linspace(0, 20, 8)[:, None, None, None]
+    with jax.enable_x64(True):
+        each = jax.jit(jax.vmap(fly, (None, 0, 0)))(track, radii, boxes)
+        assert each[1].any() and not each[1].all(axis=1).all()
+        for i in range(8):
+            mine = jax.tree.map(lambda x, i=i: x[i], each)
+            jax.tree.map(np.testing.assert_array_equal, mine, flown(track, radii[i], boxes[i]))
+
+
+def test_many_histories_of_one_move():
+    box = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]])
+    before = Room(np.array([9.0, 0.5]), np.array([5.0, 0.5]), np.array([5.0, 0.5]))
+    move = np.array([11.0, 0.0, 0.0]), np.array([10.0, 0.0, 0.0])
+    after, touched = jax.vmap(advance_room, (0, None, None, None, None))(before, *move, 1.0, box)
+    np.testing.assert_allclose(after.now, [8, 8], rtol=1e-6)  # kept, and measured
+    np.testing.assert_allclose(after.least, [5, 0.5])
+    assert not touched.any()
+
+
+def test_gradients_stop_here():
+    box = np.array([[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]])
+
+    def total(track):
+        rooms, _ = fly(track, RADIUS, box)
+        return jnp.sum(rooms.now + rooms.least) + jnp.sum(track)
+
+    tracks = np.random.default_rng(0).normal(size=(3, MOVES + 1, 3)) * 4
+    gradient = jax.jit(jax.grad(lambda tracks: jnp.sum(jax.vmap(total)(tracks))))(tracks)
+    np.testing.assert_array_equal(gradient, 1)
+    np.testing.assert_array_equal(jax.grad(total)(tracks[0]), 1)

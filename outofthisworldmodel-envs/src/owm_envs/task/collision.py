@@ -20,12 +20,14 @@ class Room(NamedTuple):
     """At most the present clearance: what was last measured, less the way gone since."""
     least: Float[Array, ""]
     """The least clearance so far, at most a twentieth and half a step's way low; not positive only after contact."""
+    seen: Float[Array, ""]
+    """The least of those measured: what `now` falls to without a measurement must not lower the bar for the next."""
 
 
 def room_at(point: Float[Array, "3"], radius: Float[Array, ""], boxes: Float[Array, "N 2 3"]) -> Room:
     """The room of a sphere at rest."""
     clearance = swept_clearance(point, point, radius, boxes)
-    return Room(clearance, clearance)
+    return Room(clearance, clearance, clearance)
 
 
 def advance_room(
@@ -42,9 +44,10 @@ def advance_room(
     """
     room, start, end, radius, boxes = jax.lax.stop_gradient((room, start, end, radius, boxes))
     left = room.now - jnp.sqrt(summed((end - start) ** 2))
-    unsure = ~(left > _SHARPNESS * jnp.maximum(room.least, 0))
+    unsure = ~(left > _SHARPNESS * jnp.maximum(room.seen, 0))
     now = _measured_where(unsure, left, start, end, radius, boxes)
-    return Room(now, jnp.minimum(room.least, now)), now <= 0
+    seen = jnp.where(unsure, jnp.minimum(room.seen, now), room.seen)
+    return Room(now, jnp.minimum(room.least, now), seen), now <= 0
 
 
 @jax.custom_batching.custom_vmap
@@ -59,6 +62,8 @@ def _measured_in_batch(axis_size, in_batched, unsure, left, *sphere):
 
     unsure, left = spread(unsure, in_batched[0]), spread(left, in_batched[1])
     batched = [x for x, b in zip(sphere, in_batched[2:]) if b]
+    if not batched:  # many histories of one move
+        return jnp.where(unsure, swept_clearance(*sphere), left), True
 
     def measure(*own):
         own = iter(own)

@@ -40,12 +40,18 @@ def standard_normal(key: Key[Array, ""], count: Int[Array, ""] | int, size: int,
     Args:
         key: of the stream (threefry2x32), used for nothing else.
         count: from 0; draws of different counts are independent.
-
-    Source: Box and Muller (1958), Ann. Math. Statist. 29, 610. No number exceeds 5.9.
     """
     pairs = jnp.arange(size // 2, dtype=jnp.uint32)
     counter = jnp.broadcast_to(jnp.asarray(count).astype(jnp.uint32), pairs.shape)
     radius_bits, angle_bits = stored(threefry2x32(jax.random.key_data(key), counter, pairs))
+    return box_muller(radius_bits, angle_bits, dtype)
+
+
+def box_muller(radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], dtype) -> Float[Array, "2*N"]:
+    """Two independent standard normal numbers of each pair of random words: all cosines, then all sines.
+
+    Source: Box and Muller (1958), Ann. Math. Statist. 29, 610. No number exceeds 5.9.
+    """
     uniform = ((radius_bits >> 8).astype(jnp.float32) + 0.5) * jnp.float32(2.0**-24)
     angle = (angle_bits >> 8).astype(jnp.float32) * jnp.float32(2 * math.pi * 2.0**-24)
     radius = jnp.sqrt(-2 * jnp.log(uniform))
