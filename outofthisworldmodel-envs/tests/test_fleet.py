@@ -13,6 +13,7 @@ from owm_envs.params import params_from_config
 from owm_envs.policies import make_policy
 from owm_envs.station import PORTS, port_index
 from owm_envs.task.events import Outcome
+from owm_envs.task.sensors import goal_error
 from owm_envs.task.separation import swept_separation
 
 RADIUS = 2.25
@@ -56,7 +57,9 @@ def place_fleet(env, params, state, views):
     physics = initial(env.docking.dynamics)(params, before.epoch, views)
     physics = before._replace(chaser=physics.chaser, chief=physics.chief[0])
     unknown = state.chasers.room._replace(now=jnp.zeros(3))
-    return state._replace(chasers=state.chasers._replace(physics=physics, view=jnp.asarray(views), room=unknown))
+    error = quick(jax.vmap(goal_error))(jnp.asarray(views), params.goals[state.chasers.port])
+    chasers = state.chasers._replace(physics=physics, view=jnp.asarray(views), error=error, room=unknown)
+    return state._replace(chasers=chasers)
 
 
 def coasting(positions, velocities=0.0):

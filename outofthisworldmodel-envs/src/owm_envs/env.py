@@ -14,7 +14,7 @@ from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamic
 from owm_envs.params import Params, params_from_config
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import Room, advance_room, room_at
-from owm_envs.task.events import Closest, Outcome, error_norms, is_docked
+from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.randomization import Drawn, draw, episode_params
 from owm_envs.task.reset import Start, named_key, sample_start
@@ -37,6 +37,8 @@ class EnvState(NamedTuple):
     physics: PhysicalState
     view: Float[Array, "13"]
     """True relative view, its quaternion continuous along the episode."""
+    error: Float[Array, "12"]
+    """Of the true relative view to the goal, as `goal_error` gives it."""
     measured: Float[Array, "13"]
     port: Int[Array, ""]
     count: Int[Array, ""]
@@ -158,17 +160,18 @@ class DockingEnv:
         if self.structure.biased:
             bias = start_bias(start.view.dtype, key=self._bias_key(noise_key, 0))
         room = room_at(start.view[:3], params.chaser.radius, self._boxes(params))
-        closest = self._approach(params, start.port, start.view, physics.elapsed)
+        error = goal_error(start.view, params.goals[start.port])
         return EnvState(
             physics=physics,
             view=start.view,
+            error=error,
             measured=start.view,
             port=start.port,
             count=jnp.zeros((), jnp.int32),
             outcome=jnp.asarray(Outcome.RUNNING, jnp.int32),
             collided=room.now <= 0,
             room=room,
-            closest=closest,
+            closest=Closest(*error_norms(error), physics.elapsed),
             actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
             bias=bias,
             drawn=drawn,
@@ -232,11 +235,10 @@ class DockingEnv:
             lapse = params.dt * self.structure.steps_per_action
             bias = advance_bias(state.bias, params.noise.bias.correlation_time, lapse, key=key)
             ended = ended._replace(bias=jnp.where(was_running, bias, state.bias))
-        goal = params.goals[ended.port]
         earned = reward(
             params,
-            error_norms(goal_error(ended.view, goal)),
-            error_norms(goal_error(state.view, goal))[0],
+            error_norms(ended.error),
+            safe_norm(state.error[:3]),
             wrench,
             touched,
             ended.outcome == Outcome.DOCKED,
@@ -253,7 +255,10 @@ class DockingEnv:
         """The same episode with its chaser at another true relative view; the next step measures its clearance."""
         params = episode_params(params, state.drawn)
         physics = self.dynamics.init(params, state.physics.epoch, view)
-        return state._replace(physics=physics, view=view, room=state.room._replace(now=jnp.zeros_like(state.room.now)))
+        unknown = state.room._replace(now=jnp.zeros_like(state.room.now))
+        return state._replace(
+            physics=physics, view=view, error=goal_error(view, params.goals[state.port]), room=unknown
+        )
 
     def info(self, params: Params, state: EnvState) -> dict[str, Array]:
         """The truth behind a state: for recording and scoring, never for a policy.
@@ -267,7 +272,7 @@ class DockingEnv:
             "true_state": state.view,
             "measured_state": state.measured,
             "goal_pose": goal,
-            "true_goal_error": goal_error(state.view, goal),
+            "true_goal_error": state.error,
             "epoch": self._epoch(state),
             "port": state.port,
             "outcome": state.outcome,
@@ -288,11 +293,13 @@ class DockingEnv:
         view = stored(view.at[6:10].multiply(sign))
 
         room, touches = advance_room(state.room, state.view[:3], view[:3], params.chaser.radius, self._boxes(params))
-        approach = self._approach(params, state.port, view, physics.elapsed)
+        error = stored(goal_error(view, params.goals[state.port]))
+        norms = stored(error_norms(error))
+        approach = Closest(*norms, physics.elapsed)
         nearer = approach.distance < state.closest.distance
         closest = jax.tree.map(lambda new, old: jnp.where(nearer, new, old), approach, state.closest)
 
-        docked = is_docked(jnp.stack(approach[:4]), params.docking)
+        docked = is_docked(norms, params.docking)
         escaped = summed(view[:3] ** 2) > params.escape_radius**2
         crashed = touches & self.structure.collision_terminates
         outcome = jnp.select(
@@ -302,6 +309,7 @@ class DockingEnv:
             physics=physics,
             actuators=actuators,
             view=view,
+            error=error,
             outcome=outcome,
             collided=state.collided | touches,
             room=room,
@@ -315,9 +323,6 @@ class DockingEnv:
     def _boxes(self, params):
         return jnp.concatenate([params.hull, params.obstacles])
 
-    def _approach(self, params, port, view, elapsed):
-        return stored(Closest(*error_norms(goal_error(view, params.goals[port])), elapsed))
-
     def _epoch(self, state):
         epoch = state.physics.epoch
         return jnp.stack(normalize_epoch(epoch[0], epoch[1] + state.physics.elapsed))
@@ -325,7 +330,8 @@ class DockingEnv:
     def observe(self, params: Params, state: EnvState) -> tuple[EnvState, Float[Array, "O"]]:
         """Measure: the state with its measurement, and the observation."""
         measured = measure(params.noise, state.view, state.bias, key=state.noise_key, count=state.count)
-        error = goal_error(measured, params.goals[state.port])
+        # Of the measurement as it is shown, in float32.
+        error = goal_error(measured.astype(jnp.float32), params.goals[state.port].astype(jnp.float32))
         return state._replace(measured=measured), self.layout.observe(self._epoch(state), measured, error)
 
 

@@ -60,15 +60,18 @@ def measure(
             noise.rate,
         ]
     )
-    errors = _per_axis(total)[:, None] * standard_normal(key, count, 12, view.dtype).reshape(4, 3)
+    # Seven digits are plenty for an error, its rotation too.
+    errors = _per_axis(total)[:, None].astype(jnp.float32) * standard_normal(key, count, 12, jnp.float32).reshape(4, 3)
     if bias is not None:
-        errors = errors + _per_axis(jnp.stack(noise.bias[:4]))[:, None] * bias
+        errors = errors + (_per_axis(jnp.stack(noise.bias[:4]))[:, None] * bias).astype(jnp.float32)
+    turn = quat_from_rotation_vector(errors[2]).astype(view.dtype)
+    errors = stored(errors.astype(view.dtype))
     return stored(
         jnp.concatenate(
             [
                 position + errors[0],
                 velocity + errors[1],
-                quat_multiply(attitude, quat_from_rotation_vector(errors[2])),
+                quat_multiply(attitude, turn),
                 rate + errors[3],
             ]
         )
