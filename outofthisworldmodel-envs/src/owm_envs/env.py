@@ -192,7 +192,7 @@ class DockingEnv:
             after, touches = self.advance(params, now, wrench)
             running = now.outcome == Outcome.RUNNING
             sound = is_sound(after.view)
-            moves = running & sound
+            moves = stored(running & sound)
             kept = jax.tree.map(lambda new, old: jnp.where(moves, new, old), after, now)
             outcome = jnp.where(running & ~sound, Outcome.DIVERGED, kept.outcome).astype(jnp.int32)
             return (kept._replace(outcome=outcome), touched | (touches & moves)), None

@@ -54,5 +54,6 @@ def box_muller(radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], 
     """
     uniform = ((radius_bits >> 8).astype(jnp.float32) + 0.5) * jnp.float32(2.0**-24)
     angle = (angle_bits >> 8).astype(jnp.float32) * jnp.float32(2 * math.pi * 2.0**-24)
-    radius = jnp.sqrt(-2 * jnp.log(uniform))
-    return stored(jnp.concatenate([radius * jnp.cos(angle), radius * jnp.sin(angle)]).astype(dtype))
+    radius = stored(jnp.sqrt(-2 * jnp.log(uniform)))
+    halves = stored((radius * jnp.cos(angle), radius * jnp.sin(angle)))
+    return jnp.concatenate(halves).astype(dtype)
