@@ -115,7 +115,7 @@ def accel_relative(
         model: static.
 
     Validity: any separation but for the zonal terms, which are expanded about the middle of the two: their error is of
-    third order in separation over distance, 1e-14 m/s^2 at 1 km. In float32 it keeps the precision of the separation.
+    third order in separation over distance, 2e-13 m/s^2 at 1 km. In float32 it keeps the precision of the separation.
 
     Source: Battin's f(q), as in `accel_third_body`: the difference of two attractions is that of a body seen from the
     chief.
