@@ -14,6 +14,7 @@ from owm_envs.env import DockingEnv
 
 STARTS, STEPS = 12, 7200  # of 0.05 s: 360 s
 CONFIG = {"fidelity": "iss-numerical", "noise": "cooperative"}
+PLAIN = {**CONFIG, "forces": {"zonal_degree": 0, "sun": False, "moon": False, "drag": False}}  # compiles quicker
 WEEK = 7 * 86_400.0
 
 
@@ -40,20 +41,6 @@ def profile(wrench, k):
     """A wrench that turns round every 36 s, its torque every 18 s."""
     signs = jnp.stack([1 - 2 * (k // 720 % 2), 1 - 2 * (k // 360 % 2)]).astype(wrench.dtype)
     return wrench * jnp.repeat(signs, 3)
-
-
-@pytest.fixture(scope="module")
-def narrow(quick):
-    """The environment in float32 outside the 64-bit mode, of a batch: (env, params, reset, step)."""
-    env = DockingEnv(precision="float32", **CONFIG)
-    params = env.default_params()
-    reset = quick(jax.vmap(lambda key: env.reset(params, key=key)))
-    return env, params, reset, quick(jax.vmap(env.step, (None, 0, 0)))
-
-
-@pytest.fixture(scope="module")
-def keys():
-    return batch.seed_keys(list(range(40, 40 + STARTS)))
 
 
 def episode(quick, precision, view, day, seconds, wrench):
@@ -91,21 +78,22 @@ def test_within_a_millimetre_of_float64_over_an_episode(starts, quick):
     np.testing.assert_allclose(np.linalg.norm(ours[:, 6:10], axis=1), 1, atol=1e-6)
 
 
-def test_nothing_is_float64_outside_the_64_bit_mode(narrow, keys):
-    env, params, reset, _ = narrow
-    state, observation = jax.eval_shape(reset, keys)
-    stepped = jax.eval_shape(jax.vmap(env.step, (None, 0, None)), params, state, jnp.zeros(6, jnp.float32))
-    info = jax.eval_shape(jax.vmap(env.info, (None, 0)), params, state)
+def test_nothing_is_float64_outside_the_64_bit_mode():
+    env = DockingEnv(precision="float32", **CONFIG)
+    params = env.default_params()
+    state, observation = jax.eval_shape(lambda key: env.reset(params, key=key), jax.random.key(0))
+    stepped = jax.eval_shape(env.step, params, state, jnp.zeros(6, jnp.float32))
+    info = jax.eval_shape(env.info, params, state)
     names = {leaf.dtype.name for leaf in jax.tree.leaves((params, state, observation, stepped, info))}
     assert names == {"float32", "int32", "bool", "key<fry>"}
     same = jax.tree.map(lambda a, b: (a.shape, a.dtype) == (b.shape, b.dtype), stepped[0], state)
     assert all(jax.tree.leaves(same))  # a scan carries it
 
 
-def test_the_64_bit_mode_changes_no_operation(narrow):
+def test_the_64_bit_mode_changes_no_operation():
     """Only literals and indices are wider there: the equations of motion are letter by letter the same."""
-    env, params, *_ = narrow
-    numbers = jax.device_get(params)
+    env = DockingEnv(precision="float32", **CONFIG)
+    numbers = jax.device_get(env.default_params())
 
     def programs():
         params, key, action = jax.tree.map(jnp.asarray, numbers), jax.random.key(0), jnp.zeros(6, jnp.float32)
@@ -124,23 +112,24 @@ def test_the_64_bit_mode_changes_no_operation(narrow):
         assert re.sub(r"([fi])(nt|loat)?64", lambda found: found[0].replace("64", "32"), other) == one
 
 
-def test_the_gymnasium_adapter_gives_the_same(narrow, keys, starts, quick, monkeypatch):
+def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
     """It runs in the 64-bit mode, the functional interface here outside it."""
-    env, params, reset, step = narrow
-    state, observation = reset(keys)
-    options = quick.keywords["compiler_options"]
+    env, options = DockingEnv(precision="float32", **PLAIN), quick.keywords["compiler_options"]
+    params = env.default_params()
     monkeypatch.setattr(batch, "compiler_options", lambda: options)
-    adapter = DockingVectorEnv(STARTS, precision="float32", autoreset_mode="disabled", **CONFIG)
+    adapter = DockingVectorEnv(2, precision="float32", autoreset_mode="disabled", **PLAIN)
     first, info = adapter.reset(seed=40)
-    np.testing.assert_allclose(first, observation, rtol=1e-6, atol=1e-6)
     assert info["true_state"].dtype == np.float32
-    *_, wrench = starts
+    reset, step = quick(jax.vmap(lambda key: env.reset(params, key=key))), quick(jax.vmap(env.step, (None, 0, 0)))
+    state, observation = reset(batch.seed_keys([40, 41]))
+    np.testing.assert_allclose(first, observation, rtol=1e-6, atol=1e-6)
+    wrench = np.array([[300, -200, 100, 50, -40, 30], [0, 0, 0, 0, 0, 0]], np.float32)
     for _ in range(20):
         last, reward, terminated, truncated, info = adapter.step(wrench)
         state, result = step(params, state, wrench)
     assert not (terminated | truncated).any()
-    expected = jax.vmap(env.info, (None, 0))(params, state)
     np.testing.assert_allclose(last, result.observation, rtol=1e-6, atol=1e-4)
     np.testing.assert_allclose(reward, result.reward, rtol=1e-5, atol=1e-6)
+    expected = jax.vmap(env.info, (None, 0))(params, state)
     for name in ("true_state", "measured_state", "epoch", "clearance", "closest_distance"):
         np.testing.assert_allclose(info[name], expected[name], rtol=1e-6, atol=1e-4)
