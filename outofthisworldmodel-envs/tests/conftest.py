@@ -6,6 +6,7 @@ import pytest
 
 from owm_envs.config import FIDELITIES
 from owm_envs.env import DockingEnv
+from owm_envs.task.collision import room_at
 
 
 @pytest.fixture(params=FIDELITIES)
@@ -46,13 +47,16 @@ def docking():
     return build
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def place():
     """Puts a docking state at a relative view at rest with respect to its bookkeeping."""
+    measure = jax.jit(room_at)
 
     def placed(env, params, state, view):
         view = np.asarray(view, np.float64)
         physics = env.dynamics.init(params, state.physics.epoch, jax.numpy.asarray(view))
-        return state._replace(physics=physics, view=jax.numpy.asarray(view))
+        boxes = jax.numpy.concatenate([params.hull, params.obstacles])
+        room = measure(view[:3], params.chaser.radius, boxes)
+        return state._replace(physics=physics, view=jax.numpy.asarray(view), room=room)
 
     return placed

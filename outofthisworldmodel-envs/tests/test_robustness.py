@@ -17,6 +17,7 @@ from owm_envs.adapters.gymnasium import DockingGymEnv
 from owm_envs.config import FIDELITIES
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
+from owm_envs.task.collision import room_at
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import measure
 
@@ -74,7 +75,9 @@ def fly():
         def run(port, view, action):
             state, _ = env.reset(params, key=jax.random.key(0), port=port)
             view = view.at[6:10].divide(jnp.linalg.norm(view[6:10]))
-            state = state._replace(physics=env.dynamics.init(params, state.physics.epoch, view), view=view)
+            physics = env.dynamics.init(params, state.physics.epoch, view)
+            room = room_at(view[:3], params.chaser.radius, params.hull)
+            state = state._replace(physics=physics, view=view, room=room)
 
             def step(state, _):
                 state, result = env.step(params, state, action)
