@@ -44,9 +44,9 @@ def relative_acceleration(quick):
     return tuple(quick(jax.vmap(fn, (None, None, 0, None, None))) for fn in (accel_relative, directly))
 
 
-# Rounding of the difference is 4e-15 m/s^2, the zonal terms' third order 1e-12 at 5 km.
+# Rounding of the difference is 4e-15 m/s^2, the zonal terms' third order 2e-11 at 5 km.
 @pytest.mark.parametrize(
-    ("distance", "atol", "atol32"), [(1.0, 1e-14, 1e-11), (200.0, 1e-14, 2e-10), (5e3, 2e-12, 5e-9)]
+    ("distance", "atol", "atol32"), [(1.0, 1e-14, 3e-11), (200.0, 1e-14, 4e-10), (5e3, 3e-11, 1e-8)]
 )
 def test_relative_acceleration_is_the_difference_of_two(
     relative_acceleration, separations, distance, atol, atol32, x64

@@ -46,7 +46,7 @@ def docking():
     return build
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def place():
     """Puts a docking state at a relative view at rest with respect to its bookkeeping."""
 

@@ -71,17 +71,17 @@ def test_counts_slots_and_streams_are_independent(normals):
         assert np.abs(np.corrcoef(mine.T, its.T)[:SIZE, SIZE:]).max() < bound
 
 
-def test_deterministic_and_of_the_dtype_asked_for():
-    key = jax.random.key(3)
-    narrow = standard_normal(key, 5, SIZE, jnp.float32)
-    np.testing.assert_array_equal(narrow, standard_normal(key, 5, SIZE, jnp.float32))
-    np.testing.assert_array_equal(narrow[:3], standard_normal(key, 5, 6, jnp.float32)[:3])
+def test_deterministic_and_of_the_dtype_asked_for(normals):
+    key = jax.random.key(20)
+    one = jax.jit(standard_normal, static_argnums=(2, 3))
+    narrow = one(key, 5, SIZE, jnp.float32)
     assert narrow.dtype == jnp.float32
+    np.testing.assert_array_equal(narrow, one(key, jnp.asarray(5, jnp.int32), SIZE, jnp.float32))
+    np.testing.assert_allclose(narrow, normals[5], rtol=0, atol=2e-6)
     with jax.enable_x64(True):
-        wide = standard_normal(key, jnp.asarray(5, jnp.int32), SIZE, jnp.float64)
-        assert wide.dtype == jnp.float64
-        np.testing.assert_array_equal(wide, np.asarray(narrow, np.float64))
-    np.testing.assert_allclose(draws(key, jnp.arange(6, dtype=jnp.int32), SIZE, jnp.float32)[5], narrow, atol=2e-6)
+        wide = one(key, 5, SIZE, jnp.float64)
+    assert wide.dtype == jnp.float64
+    np.testing.assert_array_equal(wide, np.asarray(narrow, np.float64))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from owm_envs.task.selected import apply_where
 
-SIZES = ((1, 16), (7, 1), (23, 4), (16, 16))
+SIZES = ((1, 16), (7, 3), (23, 4))
 """Of a batch and of a chunk."""
 
 
@@ -56,7 +56,7 @@ partly = jax.jit(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(sizes=st.sampled_from(SIZES), data=st.data())
 def test_equals_computing_everywhere(sizes, data):
     size, chunk = sizes

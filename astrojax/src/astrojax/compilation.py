@@ -7,12 +7,12 @@ import jax
 from jaxtyping import Array, PyTree
 
 CPU_OPTIONS: dict[str, bool | str] = {
-    "xla_disable_hlo_passes": "cse_barrier_expander",
+    "xla_disable_hlo_passes": "cse_barrier_expander,small-while-loop-hoisting",
     "xla_cpu_multi_thread_eigen": False,
 }
 """With `jax.jit(..., compiler_options=CPU_OPTIONS)` XLA heeds `stored` on the CPU, where it would drop it before it
 matters, and runs every operation on the calling thread: two programs side by side keep two cores busier than one that
-splits each of its short loops between them."""
+splits each of its short loops between them. A loop of few bytes must not become one kernel: those know no barrier."""
 
 
 def stored(x: PyTree) -> PyTree:

@@ -115,7 +115,7 @@ def accel_relative(
         model: static.
 
     Validity: any separation. In float32 it keeps the precision of the separation: there the zonal terms, a thousandth
-    of the whole, are expanded about the middle of the two, with an error of third order, 1e-14 m/s^2 at 1 km; float64
+    of the whole, are expanded about the middle of the two, with an error of third order, 2e-13 m/s^2 at 1 km; float64
     can afford to subtract them.
 
     Source: Battin's f(q), as in `accel_third_body`: the difference of two attractions is that of a body seen from the

@@ -53,7 +53,26 @@ def box_muller(radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], 
     Source: Box and Muller (1958), Ann. Math. Statist. 29, 610. No number exceeds 5.9.
     """
     uniform = ((radius_bits >> 8).astype(jnp.float32) + 0.5) * jnp.float32(2.0**-24)
-    angle = (angle_bits >> 8).astype(jnp.float32) * jnp.float32(2 * math.pi * 2.0**-24)
     radius = stored(jnp.sqrt(-2 * jnp.log(uniform)))
-    halves = stored((radius * jnp.cos(angle), radius * jnp.sin(angle)))
-    return jnp.concatenate(halves).astype(dtype)
+    cosine, sine = _turn(angle_bits)
+    return jnp.concatenate(stored((radius * cosine, radius * sine))).astype(dtype)
+
+
+def _turn(bits: UInt32[Array, "N"]) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Cosine and sine of a random angle: two bits choose the quadrant, the next 22 the angle in it, within 45 degrees of
+    its middle, where Taylor's series are good to 3e-8: the functions of the library are not vectorised."""
+    quadrant = bits >> 30
+    fraction = ((bits >> 8) & 0x3FFFFF).astype(jnp.float32) * jnp.float32(2.0**-22) - 0.5
+    x = fraction * jnp.float32(math.pi / 2)
+    y = x * x
+
+    def series(first):  # 1 - y / (first (first + 1)) + ...
+        total = jnp.ones_like(y)
+        for k in range(first + 8, first - 1, -2):
+            total = 1 - y * jnp.float32(1 / (k * (k + 1))) * total
+        return total
+
+    c, s = series(1), x * series(2)
+    odd, back = (quadrant & 1) == 1, quadrant >= 2
+    cosine, sine = jnp.where(odd, -s, c), jnp.where(odd, c, s)
+    return jnp.where(back, -cosine, cosine), jnp.where(back, -sine, sine)
