@@ -90,5 +90,5 @@ def test_finite_at_every_extreme_of_the_bits(dtype, x64):
     radius, angle = (grid.ravel() for grid in np.meshgrid(words, words))
     out = np.asarray(jax.jit(box_muller, static_argnums=2)(radius, angle, dtype))
     assert out.dtype == dtype and np.isfinite(out).all()
-    assert 5.8 < np.abs(out).max() < 5.9
+    assert 4.1 < np.abs(out).max() < 5.9  # no angle of these lies along an axis
     assert np.abs(out[: radius.size][radius == 2**32 - 1]).max() < 1e-3  # the other end: next to nothing

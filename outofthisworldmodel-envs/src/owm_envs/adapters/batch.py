@@ -19,10 +19,9 @@ from astrojax.compilation import compiler_options
 from owm_envs.adapters.packing import Packing
 from owm_envs.config import DockingConfig
 from owm_envs.dynamics import Dynamics
-from owm_envs.env import DockingEnv, EnvState, StepResult
+from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
 from owm_envs.params import Params
 from owm_envs.task.events import Outcome
-from owm_envs.task.selected import apply_where
 
 State = tuple[EnvState, ...]
 _LEAST_PIECE = 128
@@ -41,7 +40,7 @@ class StepOutput(NamedTuple):
 class BatchProgram:
     """`reset`, `reset_where` and `step` of a batch of episodes of one configuration.
 
-    The programs behind it are shared by all batches of equal structure, automatic reset and size. On the CPU a batch
+    The programs behind it are shared by all batches of equal structure and size. On the CPU a batch
     is flown in equal pieces side by side, one to a core; a state is a tuple of them, opaque outside.
     """
 
@@ -54,7 +53,7 @@ class BatchProgram:
             self.params: Params = self.env.default_params()
         pieces = piece_count(num_envs)
         self._slices = [slice(k * num_envs // pieces, (k + 1) * num_envs // pieces) for k in range(pieces)]
-        self._programs = _programs(self.env, autoreset, num_envs // pieces)
+        self._programs = _programs(self.env, num_envs // pieces)
 
     @property
     def traces(self) -> dict[str, int]:
@@ -79,7 +78,7 @@ class BatchProgram:
         """Start an episode in every slot: keys (B,), ports (B,) with -1 for a drawn one."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(lambda k, part: self._programs.reset(self.params, keys[part], ports[part]))
-        return state, *self._programs.of_reset.unpack(host)
+        return state, *self._programs.of_seen.unpack(host)
 
     def reset_where(self, state: State, mask, keys, ports) -> tuple[State, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode in the slots of `mask` (B,); the observation is meaningful there only."""
@@ -87,17 +86,35 @@ class BatchProgram:
         state, host = self._side_by_side(
             lambda k, part: self._programs.reset_where(self.params, state[k], mask[part], keys[part], ports[part])
         )
-        return state, *self._programs.of_reset_where.unpack(host)
+        return state, *self._programs.of_seen.unpack(host)
 
     def step(self, state: State, actions: np.ndarray) -> tuple[State, StepOutput]:
         """Advance every slot by one decision: actions (B, 6)."""
-        state, host, *final = self._side_by_side(
+        state, seen, earned = self._side_by_side(
             lambda k, part: self._programs.step(self.params, state[k], actions[part])
         )
-        result, info = self._programs.of_step.unpack(host)
-        if final and (result.terminated | result.truncated).any():
-            return state, StepOutput(result, info, *self._programs.of_end.unpack(final[0]))
-        return state, StepOutput(result, info, None, None)
+        reward, terminated, truncated, had_ended = self._programs.of_earned.unpack(earned)
+        final = (None, None)
+        if self.autoreset == AutoresetMode.SAME_STEP and (due := terminated | truncated).any():
+            final = self._programs.of_seen.unpack({name: matrix.copy() for name, matrix in seen.items()})
+            state = self._restart(state, due, seen)
+        elif self.autoreset == AutoresetMode.NEXT_STEP and had_ended.any():
+            state = self._restart(state, had_ended, seen)
+            reward[had_ended], terminated[had_ended], truncated[had_ended] = 0, False, False
+        observation, info = self._programs.of_seen.unpack(seen)
+        return state, StepOutput(StepResult(observation, reward, terminated, truncated), info, *final)
+
+    def _restart(self, state: State, due: np.ndarray, seen: dict[str, np.ndarray]) -> State:
+        """Start the next episode in the slots of `due` (B,), and write what is seen of it over what was."""
+
+        def start(k, part):
+            return self._programs.restart(self.params, state[k], due[part]) if due[part].any() else (state[k], None)
+
+        state, fresh = self._side_by_side(start, join=False)
+        for part, matrices in zip(self._slices, fresh):
+            for name in matrices or ():
+                seen[name][part][due[part]] = matrices[name][due[part]]
+        return state
 
     def to_host(self, state: State) -> EnvState:
         """A state of the whole batch as NumPy arrays, which pickle without loss."""
@@ -108,8 +125,8 @@ class BatchProgram:
         cut = [jax.tree.map(operator.itemgetter(part), state) for part in self._slices]
         return tuple(state_from_host(piece) for piece in cut)
 
-    def _side_by_side(self, call: Callable[[int, slice], tuple]) -> list[Any]:
-        """What `call` gives for each piece: first the states, then what comes to NumPy, of the whole batch."""
+    def _side_by_side(self, call: Callable[[int, slice], tuple], join: bool = True) -> list[Any]:
+        """What `call` gives for each piece: the states, then what comes to NumPy, of the whole batch if joined."""
 
         def one(k):
             with jax.enable_x64(True):  # of this thread
@@ -118,67 +135,57 @@ class BatchProgram:
 
         others = [_workers().submit(one, k) for k in range(1, len(self._slices))]
         state, *host = zip(one(0), *(other.result() for other in others))
-        return [state, *(joined(pieces) for pieces in host)]
+        return [state, *(joined(pieces) if join else pieces for pieces in host)]
 
 
 class _Programs:
-    """What is compiled once: functions of `params` and the state of a batch."""
+    """What is compiled once: functions of `params` and the state of a batch.
 
-    def __init__(self, env: DockingEnv, autoreset: AutoresetMode):
+    Restarting is a program of its own, called when an episode has ended: in the step it would cost every step.
+    """
+
+    def __init__(self, env: DockingEnv):
         self.env = env
-        self.autoreset = autoreset
-        self.traces = {"reset": 0, "reset_where": 0, "step": 0}
+        self.traces = {"reset": 0, "reset_where": 0, "step": 0, "restart": 0}
         options = compiler_options()
         self.reset = jax.jit(self._reset_batch, compiler_options=options)
         self.reset_where = jax.jit(self._reset_masked, compiler_options=options)
         self.step = jax.jit(self._step_batch, compiler_options=options)
+        self.restart = jax.jit(self._restart_batch, compiler_options=options)
+        self.of_seen, self.of_earned = Packing(), Packing()
 
-        self.of_reset, self.of_reset_where, self.of_step, self.of_end = (Packing() for _ in range(4))
-
-    def _info(self, params, state):
-        return jax.vmap(self.env.info, (None, 0))(params, state)
+    def _seen(self, params, state, observation):
+        return self.of_seen.pack((observation, jax.vmap(self.env.info, (None, 0))(params, state)))
 
     def _reset_batch(self, params, keys, ports):
         self.traces["reset"] += 1
         state, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
-        return state, self.of_reset.pack((observation, self._info(params, state)))
+        return state, self._seen(params, state, observation)
 
     def _reset_masked(self, params, state, mask, keys, ports):
         self.traces["reset_where"] += 1
         fresh, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
         state = select(mask, fresh, state)
-        return state, self.of_reset_where.pack((observation, self._info(params, state)))
+        return state, self._seen(params, state, observation)
 
     def _step_batch(self, params, state, actions):
         self.traces["step"] += 1
         had_ended = state.outcome != Outcome.RUNNING
         state, result = jax.vmap(self.env.step, (None, 0, 0))(params, state, actions)
-        info = self._info(params, state)
-        if self.autoreset == AutoresetMode.DISABLED:
-            return state, self.of_step.pack((result, info))
+        earned = self.of_earned.pack((result.reward, result.terminated, result.truncated, had_ended))
+        return state, self._seen(params, state, result.observation), earned
 
-        def start(key):
-            state, observation = self.env.reset(params, key=key)
-            return state, observation, self.env.info(params, state)
-
-        same_step = self.autoreset == AutoresetMode.SAME_STEP
-        due = (result.terminated | result.truncated) if same_step else had_ended
-        final = (self.of_end.pack((result.observation, info)),) if same_step else ()
-        state, observation, info = apply_where(due, start, (state, result.observation, info), state.next_key)
-        result = result._replace(observation=observation)
-        if not same_step:
-            result = result._replace(
-                reward=jnp.where(due, 0, result.reward),
-                terminated=result.terminated & ~due,
-                truncated=result.truncated & ~due,
-            )
-        return state, self.of_step.pack((result, info)), *final
+    def _restart_batch(self, params, state, due):
+        self.traces["restart"] += 1
+        observation = jnp.zeros((due.shape[0], self.env.layout.size), jnp.float32)
+        state, observation = restart_where(self.env, params, due, state, observation)
+        return state, self._seen(params, state, observation)
 
 
 @lru_cache(maxsize=32)
-def _programs(env: DockingEnv, autoreset: AutoresetMode, num_envs: int) -> _Programs:
+def _programs(env: DockingEnv, num_envs: int) -> _Programs:
     """The programs of an environment's structure; its numbers play no part."""
-    return _Programs(env, autoreset)
+    return _Programs(env)
 
 
 def piece_count(num_envs: int) -> int:

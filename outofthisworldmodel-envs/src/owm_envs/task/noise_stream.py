@@ -59,8 +59,10 @@ def box_muller(radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], 
 
 
 def _turn(bits: UInt32[Array, "N"]) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """Cosine and sine of a random angle: two bits choose the quadrant, the next 22 the angle in it, within 45 degrees of
-    its middle, where Taylor's series are good to 3e-8: the functions of the library are not vectorised."""
+    """Cosine and sine of a random angle; those of the library are not vectorised.
+
+    Two bits choose the quadrant, 22 more the angle in it, within 45 degrees of its middle: there Taylor's series do.
+    """
     quadrant = bits >> 30
     fraction = ((bits >> 8) & 0x3FFFFF).astype(jnp.float32) * jnp.float32(2.0**-22) - 0.5
     x = fraction * jnp.float32(math.pi / 2)
