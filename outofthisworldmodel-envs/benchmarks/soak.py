@@ -14,7 +14,6 @@ import argparse
 import json
 import sys
 import time
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -24,8 +23,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from astrojax.compilation import compiler_options
 from owm_envs.config import FIDELITIES
-from owm_envs.env import DockingEnv, EnvState
+from owm_envs.env import DockingEnv, EnvState, restart_where
 from owm_envs.task.events import Outcome
 
 HARD = {
@@ -99,7 +99,6 @@ def all_finite(tree) -> jax.Array:
     return jnp.all(jnp.stack([jnp.isfinite(leaf).reshape(leaf.shape[0], -1).all(1) for leaf in leaves]), axis=0)
 
 
-@partial(jax.jit, static_argnums=0, donate_argnums=2)
 def soak(env: DockingEnv, params, slots: Slots) -> tuple[Slots, Tally]:
     """One compiled call: `RESETS` x `STRIDE` steps of every slot."""
 
@@ -131,10 +130,8 @@ def soak(env: DockingEnv, params, slots: Slots) -> tuple[Slots, Tally]:
         bored = jax.random.bits(lots, slots.held.shape[:1], jnp.uint16) < 64
         running = slots.state.outcome == Outcome.RUNNING
         due = bored | ~running
-        fresh, _ = jax.vmap(lambda key: env.reset(params, key=key))(slots.state.next_key)
-        state = jax.tree.map(
-            lambda new, old: jnp.where(due.reshape(due.shape + (1,) * (new.ndim - 1)), new, old), fresh, slots.state
-        )
+        nothing = jnp.zeros((*due.shape, env.layout.size), jnp.float32)
+        state, _ = restart_where(env, params, due, slots.state, nothing)
         tally = tally._replace(restarts=tally.restarts + jnp.sum(bored & running))
         return jax.lax.scan(step, (slots._replace(state=state, key=key), tally), length=STRIDE)
 
@@ -162,7 +159,8 @@ def fly(fidelity: str, steps: int, batch: int, seed: int, progress: Progress) ->
     began = time.perf_counter()
     horizon = jnp.geomspace(100, 7200, batch).astype(jnp.int32)
     slots = Slots(state, horizon, jnp.zeros((batch, 6)), rest)
-    compiled = soak.lower(env, params, slots).compile()
+    program = jax.jit(soak, static_argnums=0, donate_argnums=2, compiler_options=compiler_options())
+    compiled = program.lower(env, params, slots).compile()
     compile_seconds = time.perf_counter() - began
     bar = progress.add_task(fidelity, total=steps)
     total, calls, found, began = jax.device_get(zero()), 0, [], time.perf_counter()
