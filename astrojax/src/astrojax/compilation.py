@@ -4,7 +4,8 @@ import functools
 import operator
 
 import jax
-from jaxtyping import Array, PyTree
+import numpy as np
+from jaxtyping import Array, ArrayLike, PyTree, Shaped
 
 CPU_OPTIONS: dict[str, bool | str] = {
     "xla_disable_hlo_passes": "cse_barrier_expander,small-while-loop-hoisting",
@@ -20,12 +21,12 @@ def stored(x: PyTree) -> PyTree:
     return jax.lax.optimization_barrier(x)
 
 
-def summed(terms: Array) -> Array:
+def summed(terms: Shaped[ArrayLike, "N ..."]) -> Array | np.ndarray | np.generic:
     """Sum over a short first axis, written out: XLA fuses additions with their neighbours, but not a reduction."""
     return functools.reduce(operator.add, terms)
 
 
-def all_of(conditions: Array) -> Array:
+def all_of(conditions: Shaped[ArrayLike, "N ..."]) -> Array | np.ndarray | np.generic:
     """Whether all along a short first axis hold, written out as `summed` is."""
     return functools.reduce(operator.and_, conditions)
 

@@ -69,7 +69,7 @@ def _relative_states(inertial: np.ndarray) -> np.ndarray:
     from owm_envs.dynamics.numerical import NumericalOrbits
 
     def one(row):
-        chaser = VehicleState(row[8:14], row[14:18], row[18:21])
+        chaser = VehicleState(row[8:14] - row[2:8], row[14:18], row[18:21])
         return NumericalOrbits().relative_state(None, PhysicalState(row[:2], row[1], row[2:8], chaser))
 
     with jax.enable_x64(True):
