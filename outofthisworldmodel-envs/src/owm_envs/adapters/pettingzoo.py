@@ -214,7 +214,7 @@ class DockingParallelEnv(ParallelEnv):
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         from owm_envs.render.fleet import draw_fleet
 
-        named = _named(self._info)
+        named = _named({name: np.array(value) for name, value in self._info.items()})
         distances = np.linalg.norm(named["true_goal_error"][:, :3], axis=1)
         notes = [
             f"{distance:.1f} m" if outcome == "running" else str(outcome)
@@ -273,7 +273,7 @@ class DockingParallelEnv(ParallelEnv):
         return {agent: rows[self.possible_agents.index(agent)].copy() for agent in agents}
 
     def _infos(self, agents: list[str]) -> dict[str, dict[str, Any]]:
-        named = _named(self._info)
+        named = _named({name: np.array(value) for name, value in self._info.items()})
         rows = {}
         for agent in agents:
             slot = self.possible_agents.index(agent)
