@@ -88,8 +88,9 @@ class KinematicStream:
     @staticmethod
     def skeleton(dtype: jnp.dtype) -> Statistics:
         """Return the shapes of the statistics."""
-        linear = LinearMap(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6, 6), (6,), (3, 6))))
-        return Statistics(linear, *(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (6,), (), (), ())))
+        return Statistics(
+            LinearMap.skeleton(dtype), *(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (6,), (), (), ()))
+        )
 
     @staticmethod
     def start(view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Motion:
