@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from owm.data import Episodes, Windows
 from owm.evaluation.prediction import window_errors
 from owm.model.checkpoint import CheckpointError, load_world_model, save_world_model
-from owm.model.stream import STREAMS
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
 from owm.training.config import TrainConfig
 from owm.training.step import TrainState, initial_state, train_chunk
@@ -93,8 +93,7 @@ def train(
         return TrainResult(model, about["score"], about["step"], out / "model", metrics)
 
     console = Console() if console is None else console
-    stream = STREAMS[config.model.stream]
-    statistics = stream.fit(episodes_train)
+    statistics = STREAMS[config.model.stream].fit(episodes_train)
     dtype = jnp.asarray(episodes_train.observation[:1]).dtype
     rows = (jnp.asarray(episodes_train.observation), jnp.asarray(episodes_train.action))
     history = config.model.history_length

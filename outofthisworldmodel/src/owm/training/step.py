@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, PyTree
 
-from owm.model.stream import Statistics
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.training.config import TrainConfig
 from owm.training.loss import Losses, draw, pick, window_losses
@@ -58,7 +57,7 @@ def train_chunk(
     model: LearnedWorldModel,
     network: Network,
     optimizer: PyTree,
-    statistics: Statistics,
+    statistics: PyTree,
     rows: tuple[Float[Array, "N 13"], Float[Array, "N 6"]],
     starts: Int[Array, "S"],
     step: Int[Array, ""],
@@ -87,7 +86,7 @@ def train_chunk(
     def one_step(carry: tuple[Network, PyTree], step: Array) -> tuple[tuple[Network, PyTree], tuple[Losses, Array]]:
         network, optimizer = carry
         key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
-        draws = draw(key, config.batch, length - 1, depth, model.stream, observation.dtype)
+        draws = draw(key, config.batch, length - 1, depth, network.stream, observation.dtype)
         index = starts[pick(draws.start, starts.shape[0])][:, None] + jnp.arange(length, dtype=jnp.int32)
         # Half of all windows have the whole history, as nearly every prediction in flight does.
         whole = jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0
@@ -99,7 +98,8 @@ def train_chunk(
                 lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d)
             )(observation[index], action[index[:, :-1]], context, draws)
             losses = jax.tree.map(jnp.mean, losses)
-            return config.flow_weight * losses.flow + config.decode_weight * losses.decode, losses
+            weighted = Losses(config.flow_weight, config.decode_weight, config.round_trip_weight)
+            return sum(jax.tree.map(jnp.multiply, weighted, losses)), losses
 
         gradient, losses = jax.grad(objective, has_aux=True)(network)
         updates, optimizer = make_optimizer(config).update(gradient, optimizer, network)
