@@ -30,6 +30,10 @@ class ModelConfig(BaseModel):
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
+    head: Literal["flow", "mean-flow"] = "mean-flow"
+    """What the head learns: the plain rectified flow, or one whose single evaluations are samples (`FlowHead`)."""
+    head_steps: PositiveInt = 1
+    """Evaluations of the head that a sample takes."""
 
     @model_validator(mode="after")
     def _check(self) -> "ModelConfig":
