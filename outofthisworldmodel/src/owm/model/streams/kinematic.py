@@ -14,6 +14,7 @@ from owm.model.kinematics import (
     Motion,
     advance,
     apply_inverse,
+    decode_penalty,
     increments,
     motion_error,
     multiply,
@@ -59,8 +60,6 @@ class KinematicStream(eqx.Module):
     token_count: ClassVar[int] = 1
     residual_size: ClassVar[int] = 6
     features: ClassVar[int] = 21
-    loss_units: ClassVar[tuple[float, ...]] = (0.1, 0.01, 0.005, 0.001)
-    """Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in the decode loss."""
 
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
         self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
@@ -145,10 +144,8 @@ class KinematicStream(eqx.Module):
         return {"state": to_view(motion)}
 
     def decode_loss(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Float[Array, ""]:
-        """Compare a prediction with a measurement: quadratic for small errors, linear for large ones, in loss units."""
-        units = jnp.asarray(self.loss_units, motion.rate.dtype)
-        error = motion_error(motion, to_motion(view, motion.anchor))
-        return jnp.mean(jnp.sqrt(1.0 + error / units**2) - 1.0)
+        """Compare a prediction with a measurement."""
+        return decode_penalty(motion_error(motion, to_motion(view, motion.anchor)))
 
     def round_trip_loss(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Float[Array, ""]:
         """Return zero: nothing is lost on the way from view to motion and back."""
