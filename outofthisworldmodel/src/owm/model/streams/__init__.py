@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Key
 from owm.data import Episodes
 from owm.model.config import ModelConfig
 from owm.model.streams.kinematic import KinematicStream
+from owm.model.streams.latent import LatentStream
 
 
 class Stream(Protocol):
@@ -83,5 +84,5 @@ class Stream(Protocol):
         """Compare the carry of a measured view with that view: what encoder and decoder lose between them."""
 
 
-STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream}
+STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream, "latent": LatentStream}
 """Streams by the name that `ModelConfig.stream` gives."""

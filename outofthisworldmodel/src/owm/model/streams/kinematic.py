@@ -13,6 +13,7 @@ from owm.model.config import ModelConfig
 from owm.model.kinematics import (
     advance,
     apply_inverse,
+    decode_penalty,
     motion_error,
     multiply,
     rotation,
@@ -73,8 +74,6 @@ class KinematicStream(eqx.Module):
     token_count: ClassVar[int] = 1
     residual_size: ClassVar[int] = 12
     features: ClassVar[int] = 41
-    loss_units: ClassVar[tuple[float, ...]] = (0.1, 0.01, 0.005, 0.001)
-    """Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in the decode loss."""
 
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
         self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
@@ -182,10 +181,8 @@ class KinematicStream(eqx.Module):
         return {"state": to_view(track.view)}
 
     def decode_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
-        """Compare a prediction with a measurement: quadratic for small errors, linear for large ones, in loss units."""
-        units = jnp.asarray(self.loss_units, view.dtype)
-        error = motion_error(track.view, to_motion(view, track.view.anchor))
-        return jnp.mean(jnp.sqrt(1.0 + error / units**2) - 1.0)
+        """Compare a prediction with a measurement."""
+        return decode_penalty(motion_error(track.view, to_motion(view, track.view.anchor)))
 
     def round_trip_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
         """Return zero: nothing is lost on the way from view to track and back."""
