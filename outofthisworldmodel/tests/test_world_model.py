@@ -18,7 +18,7 @@ from owm.model.checkpoint import CheckpointError, load_world_model, save_world_m
 from owm.model.config import ModelConfig, preset
 from owm.model.interface import History
 from owm.model.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
-from owm.model.stream import KinematicStream
+from owm.model.streams.kinematic import KinematicStream
 from owm.model.transformer import Backbone
 from owm.model.world_model import LearnedWorldModel, Network, Params
 
@@ -104,12 +104,12 @@ def test_cached_rollout_equals_recomputing_everything(model, window, rolled, err
     @jax.jit
     def extend(track, action, last):
         """Fill in step `last + 1`; what follows is padding, which by causality cannot matter."""
-        inputs = jax.vmap(lambda motion: KinematicStream.inputs(statistics, motion))(track)
-        tokens = network.tokens(inputs[:-1], action / statistics.action_scale)
+        past = jax.tree.map(lambda x: x[:-1], track)
+        tokens = jax.vmap(lambda motion, action: network.tokens(statistics, motion, action))(past, action)
         outputs, _ = network.backbone.sequence(tokens, jnp.ones(len(tokens), bool))
         residual = network.head.sample(None, outputs[last, :1], 6)
         current = jax.tree.map(lambda x: x[last], track)
-        after = KinematicStream.advance(statistics, current, residual, action[last], CONFIG.dt)
+        after = network.stream.advance(statistics, current, residual, action[last], CONFIG.dt)
         return jax.tree.map(lambda x, y: x.at[last + 1].set(y), track, after), to_view(after)
 
     views = []

@@ -21,7 +21,7 @@ from owm.baselines.least_squares import LeastSquares
 from owm.model.config import ModelConfig
 from owm.model.interface import WorldModel
 from owm.model.linear import LinearMap
-from owm.model.stream import STREAMS
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 
 FORMAT = 1

@@ -67,14 +67,20 @@ class Motion(NamedTuple):
     rate: Float[Array, "3"]
 
 
-def to_motion(view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Motion:
-    """Express a 13-number view in the body frame of another view, the anchor."""
-    turn = rotation(anchor[6:10])
+def pose(view: Float[Array, "13"]) -> Float[Array, "7"]:
+    """Return position and quaternion of a view."""
+    return jnp.concatenate([view[:3], view[6:10]])
+
+
+def to_motion(view: Float[Array, "13"], anchor: Float[Array, "13"] | Float[Array, "7"]) -> Motion:
+    """Express a 13-number view in the body frame of an anchor: a pose, or another view."""
+    anchor = anchor if anchor.shape[-1] == 7 else pose(anchor)
+    turn = rotation(anchor[3:])
     return Motion(
-        anchor=jnp.concatenate([anchor[:3], anchor[6:10]]),
+        anchor=anchor,
         position=apply_inverse(turn, view[:3] - anchor[:3]),
         velocity=apply_inverse(turn, view[3:6]),
-        attitude=multiply(quat_conjugate(anchor[6:10]), view[6:10]),
+        attitude=multiply(quat_conjugate(anchor[3:]), view[6:10]),
         rate=view[10:],
     )
 

@@ -57,6 +57,8 @@ class TrainConfig(BaseModel):
     """Weight of the flow loss."""
     decode_weight: NonNegativeFloat = 1.0
     """Weight of the decode loss."""
+    round_trip_weight: NonNegativeFloat = 1.0
+    """Weight of the round-trip loss."""
     chunk: PositiveInt = 50
     """Steps a compiled call makes, between which progress is reported."""
     save_every: PositiveInt = 500

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from owm.data import Episodes
 from owm.model.checkpoint import load_world_model, save_world_model
-from owm.model.stream import STREAMS
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
 from owm.training import rundir
 from owm.training.autobatch import compiled_bytes, largest_batch, memory_budget

@@ -1,12 +1,13 @@
 """The training objective on one window."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from owm.data import history_of
+from owm.model.streams import Stream
 from owm.model.world_model import LearnedWorldModel, ModelState, Params
 
 
@@ -16,10 +17,12 @@ class Losses(NamedTuple):
     Attributes:
         flow: mean square error of the clean unit-variance residual at random noise levels.
         decode: mean decode loss of the rolled-out predictions over all depths, in the stream's loss units.
+        round_trip: the same of the encoded measurements, no dynamics between; zero where nothing is encoded.
     """
 
     flow: Float[Array, ""]
     decode: Float[Array, ""]
+    round_trip: Float[Array, ""]
 
 
 class Draws(NamedTuple):
@@ -40,11 +43,11 @@ class Draws(NamedTuple):
     coin: Float[Array, "F"]
 
 
-def draw(key: Key[Array, ""], batch: int, steps: int, depth: int, stream: Any, dtype: jnp.dtype) -> Draws:
+def draw(key: Key[Array, ""], batch: int, steps: int, depth: int, stream: Stream, dtype: jnp.dtype) -> Draws:
     """Draw for a whole batch in two calls, which compiles to far less than drawing where the numbers are used."""
     k_uniform, k_noise = jax.random.split(key)
     uniform = jax.random.uniform(k_uniform, (batch, 2 + steps + depth), dtype)
-    noise = jax.random.normal(k_noise, (batch, steps, stream.tokens, stream.residual), dtype)
+    noise = jax.random.normal(k_noise, (batch, steps, stream.token_count, stream.residual_size), dtype)
     return Draws(uniform[:, 0], uniform[:, 1], uniform[:, 2 : 2 + steps], noise, uniform[:, 2 + steps :])
 
 
@@ -74,25 +77,25 @@ def window_losses(
         draws: this window's random numbers.
     """
     network, statistics = params
-    stream, dt, length = model.stream, model.dt, model.history_length
+    stream, dt, length = network.stream, model.dt, model.history_length
     history = history_of(observation, action, length, context)
     state, _, past = model.encode_sequence(params, history)
-    measured = jax.vmap(lambda view: stream.start(view, history.observation[0]))(observation)
+    measured = jax.vmap(lambda view: stream.start(statistics, view, history.observation[0]))(observation)
     before, after = jax.tree.map(lambda x: x[:-1], measured), jax.tree.map(lambda x: x[1:], measured)
     target = jax.vmap(lambda b, a, u: stream.target(statistics, b, a, u, dt))(before, after, action)
 
     def advance(state: ModelState, step: tuple) -> tuple[ModelState, tuple[Array, Array]]:
-        coin, action, before, after = step
+        coin, action, before, view = step
         carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
         output, memory = model.attend(params, action, ModelState(carry, state.memory))
-        residual = network.head.sample(None, output, stream.residual)
+        residual = network.head.sample(None, output, stream.residual_size)
         carry = stream.advance(statistics, carry, residual, action, dt)
-        return ModelState(carry, memory), (output, stream.decode_loss(carry, after))
+        return ModelState(carry, memory), (output, stream.decode_loss(statistics, carry, view))
 
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.
     advance = jax.checkpoint(advance, prevent_cse=False)
-    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, after))
+    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[1:]))
     _, (ahead, decode) = jax.lax.scan(advance, state, (draws.coin, *rolled))
 
     # The history predicts too, so its steps count; those before the first real measurement do not.
@@ -101,4 +104,6 @@ def window_losses(
     tau = draws.level[:, None, None]
     noised = (1.0 - tau) * target + tau * draws.noise
     error = jnp.mean((jax.vmap(network.head)(noised, draws.level, output) - target) ** 2, axis=(1, 2))
-    return Losses(jnp.sum(jnp.where(counts, error, 0.0)) / jnp.sum(counts), jnp.mean(decode))
+    round_trip = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, observation)
+    flow = jnp.sum(jnp.where(counts, error, 0.0)) / jnp.sum(counts)
+    return Losses(flow, jnp.mean(decode), jnp.mean(round_trip))

@@ -3,13 +3,13 @@
 from functools import lru_cache, partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PyTree
 
-from owm.model.stream import Statistics
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.training.config import TrainConfig
 from owm.training.loss import Losses, draw, pick, window_losses
@@ -75,7 +75,7 @@ def train_chunk(
     model: LearnedWorldModel,
     network: Network,
     optimizer: PyTree,
-    statistics: Statistics,
+    statistics: PyTree,
     rows: tuple[Float[Array, "N 13"], Float[Array, "N 6"]],
     starts: Int[Array, "S"],
     step: Int[Array, ""],
@@ -109,12 +109,15 @@ def train_chunk(
 
         def objective(network: Network) -> tuple[Array, Losses]:
             if config.precision == "bfloat16":
-                network = jax.tree.map(lambda weight: weight.astype(jnp.bfloat16), network)
+                # All but the stream, whose carry adds up small steps.
+                low = jax.tree.map(lambda weight: weight.astype(jnp.bfloat16), network)
+                network = eqx.tree_at(lambda tree: tree.stream, low, network.stream)
             losses = jax.vmap(
                 lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d)
             )(observation[index], action[index[:, :-1]], context, draws)
             losses = jax.tree.map(jnp.mean, losses)
-            return config.flow_weight * losses.flow + config.decode_weight * losses.decode, losses
+            weighted = Losses(config.flow_weight, config.decode_weight, config.round_trip_weight)
+            return sum(jax.tree.map(jnp.multiply, weighted, losses)), losses
 
         return jax.grad(objective, has_aux=True)(network)
 
@@ -132,7 +135,7 @@ def train_chunk(
         network, optimizer = carry
         dtype = rows[0].dtype
         key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
-        draws = draw(key, config.batch, length - 1, depth, model.stream, dtype)
+        draws = draw(key, config.batch, length - 1, depth, network.stream, dtype)
         first = starts[pick(draws.start, starts.shape[0])]
         # Half of all windows have the whole history, as nearly every prediction in flight does.
         full = jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0

@@ -1,18 +1,15 @@
-"""Streams: how one kind of observation becomes tokens, and how predicted token residuals become the next observation.
+"""The kinematic stream: a learned residual on analytic rigid-body kinematics."""
 
-A stream is a class of pure functions over a carry of its own type, the thing that is rolled forward. The network only
-sees token inputs and predicts unit-variance residuals, so that a stream whose carry is the tokens themselves (latent
-autoregression) and this one, whose carry is a physical motion, share backbone, head, training and planner.
-"""
+from typing import ClassVar, NamedTuple
 
-from typing import NamedTuple
-
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
 from owm.data import Episodes
+from owm.model.config import ModelConfig
 from owm.model.kinematics import (
     Motion,
     advance,
@@ -26,6 +23,7 @@ from owm.model.kinematics import (
     to_view,
 )
 from owm.model.linear import LinearMap, fit_linear_map, linear_increment, transitions
+from owm.model.transformer import Perceptron
 
 
 class Statistics(NamedTuple):
@@ -48,7 +46,7 @@ class Statistics(NamedTuple):
     rate_scale: Float[Array, ""]
 
 
-class KinematicStream:
+class KinematicStream(eqx.Module):
     """A learned residual on analytic kinematics: one token, whose residual is a body-frame velocity and rate increment.
 
     The carry is the motion relative to the pose at the start of the window. The network never sees that arbitrary
@@ -57,11 +55,15 @@ class KinematicStream:
     distance from the anchor, and the anchor may move whenever a measurement arrives.
     """
 
-    tokens = 1
-    residual = 6
-    features = 21
-    loss_units = (0.1, 0.01, 0.005, 0.001)
+    encoder: Perceptron
+    token_count: ClassVar[int] = 1
+    residual_size: ClassVar[int] = 6
+    features: ClassVar[int] = 21
+    loss_units: ClassVar[tuple[float, ...]] = (0.1, 0.01, 0.005, 0.001)
     """Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in the decode loss."""
+
+    def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
+        self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
 
     @staticmethod
     def fit(episodes: Episodes) -> Statistics:
@@ -91,10 +93,17 @@ class KinematicStream:
         linear = LinearMap(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6, 6), (6,), (3, 6))))
         return Statistics(linear, *(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (6,), (), (), ())))
 
-    @staticmethod
-    def start(view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Motion:
-        """Return the carry of a measured view in a window that starts at `anchor`."""
+    def start(self, statistics: Statistics, view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Motion:
+        """Return the motion of a measured view in a window that starts at `anchor`."""
         return to_motion(view, anchor)
+
+    def observe(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Motion:
+        """Return the motion of a new measurement, which becomes the anchor."""
+        return to_motion(view, view)
+
+    def tokens(self, statistics: Statistics, motion: Motion) -> Float[Array, "1 d"]:
+        """Return the token of a motion."""
+        return self.encoder(self.inputs(statistics, motion))
 
     @staticmethod
     def inputs(statistics: Statistics, motion: Motion) -> Float[Array, "1 21"]:
@@ -112,38 +121,35 @@ class KinematicStream:
             ]
         )[None]
 
-    @staticmethod
-    def action_inputs(statistics: Statistics, action: Float[Array, "6"]) -> Float[Array, "6"]:
-        """Return the scaled action."""
-        return action / statistics.action_scale
-
-    @staticmethod
     def target(
-        statistics: Statistics, before: Motion, after: Motion, action: Float[Array, "6"], dt: float
+        self, statistics: Statistics, before: Motion, after: Motion, action: Float[Array, "6"], dt: float
     ) -> Float[Array, "1 6"]:
         """Return the unit-variance residual that leads from one measured motion to the next."""
         increment, drift = linear_increment(statistics.linear, before, action)
         return ((increments(before, after, dt, drift) - increment) / statistics.residual_scale)[None]
 
-    @staticmethod
     def advance(
-        statistics: Statistics, motion: Motion, residual: Float[Array, "1 6"], action: Float[Array, "6"], dt: float
+        self,
+        statistics: Statistics,
+        motion: Motion,
+        residual: Float[Array, "1 6"],
+        action: Float[Array, "6"],
+        dt: float,
     ) -> Motion:
         """Advance the carry by one step under a predicted residual."""
         increment, drift = linear_increment(statistics.linear, motion, action)
         return advance(motion, increment + statistics.residual_scale * residual[0], dt, drift)
 
-    @staticmethod
-    def decode(motion: Motion) -> dict[str, Array]:
-        """Read the carry out."""
+    def decode(self, statistics: Statistics, motion: Motion) -> dict[str, Array]:
+        """Read the motion out."""
         return {"state": to_view(motion)}
 
-    @classmethod
-    def decode_loss(cls, predicted: Motion, measured: Motion) -> Float[Array, ""]:
+    def decode_loss(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Float[Array, ""]:
         """Compare a prediction with a measurement: quadratic for small errors, linear for large ones, in loss units."""
-        units = jnp.asarray(cls.loss_units, predicted.rate.dtype)
-        return jnp.mean(jnp.sqrt(1.0 + motion_error(predicted, measured) / units**2) - 1.0)
+        units = jnp.asarray(self.loss_units, motion.rate.dtype)
+        error = motion_error(motion, to_motion(view, motion.anchor))
+        return jnp.mean(jnp.sqrt(1.0 + error / units**2) - 1.0)
 
-
-STREAMS = {"kinematic": KinematicStream}
-"""Streams by the name that `ModelConfig.stream` gives."""
+    def round_trip_loss(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Return zero: nothing is lost on the way from view to motion and back."""
+        return jnp.zeros((), motion.rate.dtype)
