@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from owm.baselines.least_squares import LeastSquares
 from owm.evaluation.docking import evaluation_config
 from owm.model.checkpoint import save_world_model
 from owm.model.linear import LinearMap
-from owm.policies import GIVEN, NAMES, kind_of, load_model
+from owm.policies import GIVEN, NAMES, differences, kind_of, load_model
 
 
 def python(code, **environ):
@@ -104,8 +105,9 @@ def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
     seen = []
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(owm.commands, "train", lambda data, out, config: seen.append((data, out, config)))
-    cli.main(["train", "--data", "d", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64"])
-    config = seen[0][2]
+    cli.main(["train", "--data", "d", "e", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64"])
+    data, _, config = seen[0]
+    assert data == (Path("d"), Path("e"))
     assert (config.steps, config.batch, config.model.width) == (400, 7, 64)
 
 
@@ -120,6 +122,17 @@ def test_every_policy_says_what_it_was_given():
     assert set(NAMES) <= set(GIVEN) and {"world model", "least-squares"} <= set(GIVEN)
     with pytest.raises(ValueError, match="no world model"):
         load_model("dock", None)
+
+
+def test_a_checkpoint_of_another_environment_is_told():
+    here = evaluation_config()
+    corpus = {"name": "c", "fidelity": "iss-hcw", "noise": here.noise.model_dump(mode="json"), "dt": 0.05}
+    (told,) = differences({"about": {"corpus": [corpus]}}, here)
+    assert told == "was trained on other fidelity than it flies in: iss-hcw; now iss-numerical"
+    (told,) = differences({"about": {"corpus": [corpus]}}, evaluation_config(fidelity="iss-hcw", noise="none"))
+    assert "other noise" in told and "'position': 0.05" in told
+    both = [corpus, corpus | {"fidelity": "iss-numerical"}]
+    assert differences({"about": {"corpus": both}}, here) == differences({"about": {}}, here) == []
 
 
 def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd):
