@@ -1,7 +1,6 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from owm.evaluation.plots import prediction_figure, save_figure, tolerance_figur
 from owm.evaluation.prediction import PredictionError, prediction_error
 from owm.evaluation.report import Table
 from owm.evaluation.tables import docking_table, port_table, prediction_table
-from owm.files import write_atomically
+from owm.files import slug, write_atomically
 from owm.planning.config import PlannerConfig
 from owm.policies import kind_of, load_model, load_policy
 from owm.recordings import at_model_rate, read_recordings, training_episodes
@@ -239,8 +238,3 @@ def flight_table(flights: Flights) -> Table:
     ]
     columns = ["seed", "outcome", "closest m", "m/s", "deg", "deg/s", "least clearance m", "time s", "Δv m/s"]
     return Table(columns, rows)
-
-
-def slug(name: str) -> str:
-    """A name as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"
