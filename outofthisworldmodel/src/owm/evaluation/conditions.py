@@ -94,7 +94,7 @@ _BIAS = {
 }
 
 CONDITIONS: dict[str, Condition] = {
-    "nominal": Condition("nothing: cooperative noise, starts 100–225 m out"),
+    "nominal": Condition("cooperative noise, starts 100–225 m out"),
     "near": Condition("starts 100–125 m out, the paper's shell for reinforcement learning", shell="100-125"),
     "noncooperative": Condition("noncooperative noise: 1 % of range, 0.03 m/s", noise="noncooperative"),
     "heavy": _chaser("mass +25 %", mass=1.25 * _CHASER.mass),
