@@ -3,6 +3,9 @@
 Every block lets the tokens of one step attend to each other, then each token to its own past within a sliding window.
 `Backbone.sequence` runs a whole sequence at once; `Backbone.step` runs one further step from the keys and values kept,
 at a cost that does not grow with what went before. Both give the same numbers.
+
+Products are computed in the dtype of the weights, which training may lower to bfloat16; means of squares and softmax
+keep float32.
 """
 
 from typing import NamedTuple
@@ -26,7 +29,8 @@ class Norm(eqx.Module):
         self.gain = jnp.ones(width, dtype)
 
     def __call__(self, x: Float[Array, "*n d"]) -> Float[Array, "*n d"]:
-        return x * jax.lax.rsqrt(jnp.mean(x * x, axis=-1, keepdims=True) + 1e-6) * self.gain
+        x = _wide(x)
+        return (x * jax.lax.rsqrt(jnp.mean(x * x, axis=-1, keepdims=True) + 1e-6)).astype(self.gain.dtype) * self.gain
 
 
 class Linear(eqx.Module):
@@ -40,7 +44,7 @@ class Linear(eqx.Module):
         self.bias = jnp.zeros(outputs, dtype)
 
     def __call__(self, x: Float[Array, "*n i"]) -> Float[Array, "*n o"]:
-        return x @ self.weight + self.bias
+        return x.astype(self.weight.dtype) @ self.weight + self.bias
 
 
 class Perceptron(eqx.Module):
@@ -105,8 +109,14 @@ class Attention(eqx.Module):
         return self.out(x.reshape(*x.shape[:-2], -1))  # (*n, h, e) -> (*n, d)
 
 
-def _softmax(score: Array, visible: Array, axis: int) -> Array:
-    return jax.nn.softmax(jnp.where(visible, score, jnp.finfo(score.dtype).min), axis=axis)
+def _wide(x: Array) -> Array:
+    """Return the array in float32 at least."""
+    return x.astype(jnp.promote_types(x.dtype, jnp.float32))
+
+
+def _softmax(score: Array, visible: Array | bool, axis: int) -> Array:
+    wide = _wide(score)
+    return jax.nn.softmax(jnp.where(visible, wide, jnp.finfo(wide.dtype).min), axis=axis).astype(score.dtype)
 
 
 class Memory(NamedTuple):
@@ -150,7 +160,7 @@ class Block(eqx.Module):
         q = q[..., :kept, :, :]
         # Written as broadcast products: the token axis is so short that batched matrix products would only cost.
         score = jnp.sum(q[..., :, None, :, :] * k[..., None, :, :, :], axis=-1) * q.shape[-1] ** -0.5
-        weight = jax.nn.softmax(score, axis=-2)[..., None]  # (*t, kept, n, h, 1)
+        weight = _softmax(score, True, -2)[..., None]  # (*t, kept, n, h, 1)
         return x[..., :kept, :] + self.space.merge(jnp.sum(weight * v[..., None, :, :, :], axis=-3))
 
     def sequence(
