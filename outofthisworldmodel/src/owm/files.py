@@ -1,6 +1,7 @@
 """Files that are either whole or not there."""
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,3 +23,8 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, te
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"

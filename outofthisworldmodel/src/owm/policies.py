@@ -39,18 +39,25 @@ _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "constant velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
+    "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
 }
 """Keyed by `kind_of` a policy."""
-SCRIPTED = ("dock", "dock-geodesic", "random", "orbit", "excite")
+SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
 NAMES = (*SCRIPTED, "oracle-mppi")
 """What `load_policy` knows beside paths."""
-_KINDS = {"learned": "world model", "least_squares": "least-squares"}
+_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant velocity"}
+
+
+def is_planned(kind: str) -> bool:
+    """Whether a kind of policy is a world model in the planner."""
+    return kind == "oracle-mppi" or kind in _KINDS.values()
 
 
 def kind_of(policy: str) -> str:
@@ -86,7 +93,9 @@ def _checkpoint(path: str) -> Path:
     return folder / "model" if (folder / "model" / "config.json").is_file() else folder
 
 
-def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None) -> Any:
+def load_policy(
+    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None, field: Any = None
+) -> Any:
     """Build a policy for a batch of slots.
 
     Args:
@@ -96,6 +105,7 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
         num_slots: flights side by side.
         seed: decides the policy's own draws.
         planner: a `PlannerConfig` for planned policies; the standard one when None.
+        field: the `GeodesicField` for policies that use one; the station's own when None.
 
     Returns:
         A policy as `owm.evaluation.docking.Policy` describes it, with a `name`.
@@ -110,11 +120,12 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
 
     env = DockingEnv(config)
     if kind in SCRIPTED:
-        return VectorPolicy(make_policy(kind, env), seed=seed)
+        return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
     from owm.planning.policy import PlannerPolicy
     from owm_envs.geodesic import load_field
 
-    made = PlannerPolicy(load_model(policy, config), load_field(), env, planner, num_slots, seed)
+    field = load_field() if field is None else field
+    made = PlannerPolicy(load_model(policy, config), field, env, planner, num_slots, seed)
     made.name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
     return made
 
