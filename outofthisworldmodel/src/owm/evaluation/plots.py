@@ -346,7 +346,9 @@ def calibration_figure(groups: Mapping[str, Sequence[Calibration]]) -> Figure:
             ratio.axhline(1.0, color=_FAINT, lw=0.8, ls="--", zorder=1)
             covered.set(ylim=(-3, 103), ylabel=f"{quantity} covered [%]")
             low, high = ratio.get_ylim()
-            ratio.set(yscale="log", ylim=(min(max(low, 0.01), 0.4), max(high, 2.5)), ylabel=f"{quantity} spread / error")
+            ratio.set(
+                yscale="log", ylim=(min(max(low, 0.01), 0.4), max(high, 2.5)), ylabel=f"{quantity} spread / error"
+            )
             ratio.set_yticks(*_ticks(ratio.get_ylim(), (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)))
             for axes in (covered, ratio):
                 axes.set_xscale("log")
