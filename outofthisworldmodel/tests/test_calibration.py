@@ -1,5 +1,6 @@
 """Scores of sampled predictions against closed forms."""
 
+import json
 from math import erf, exp, pi, sqrt
 
 import jax
@@ -9,10 +10,10 @@ import pytest
 
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.evaluation.calibration import LEVELS, calibration, central_coverage, crps, score_samples
-from owm.evaluation.plots import calibration_figure, prediction_figure, save_figure
 from owm.evaluation.prediction import prediction_error
 from owm.evaluation.tables import calibration_table, error_table
 from owm.model.kinematics import displaced
+from owm.predictors import write_predictions
 
 NORMAL_QUANTILE = {0.5: 0.674490, 0.9: 1.644854, 0.99: 2.575829}
 
@@ -89,6 +90,9 @@ def test_tables_and_pictures_take_every_group(episodes, tmp_path):
     assert table.rows[0][0] == model.name and len(table.rows[0][2].split(" / ")) == 4
     rows = calibration_table(spreads["a"], (1, 4)).rows
     assert [row[:3] for row in rows[:2]] == [[f"{model.name} (truth)", "position", s] for s in ("1", "4")]
-    for name, figure in (("e", prediction_figure(errors)), ("c", calibration_figure(spreads))):
-        save_figure(figure, tmp_path / f"{name}.png", dpi=40)
-        assert (tmp_path / f"{name}.png").stat().st_size > 5000
+    files = write_predictions(errors, spreads, tmp_path)
+    stored = json.loads(files[0].read_text())
+    assert [(row["group"], row["horizon"]) for row in stored["error"]] == [("a", 4), ("a", 16), ("b", 4), ("b", 16)]
+    assert stored["calibration"][0]["position_m_coverage_50"] == 0.0
+    for picture in files[1:]:
+        assert picture.read_bytes()[:4] == b"\x89PNG"

@@ -66,6 +66,7 @@ def evaluate_prediction(
             raise ValueError(f"{option} must be at least 1, got {value}")
     errors: dict[str, list[PredictionError]] = {}
     spreads: dict[str, list[Calibration]] = {}
+    files: list[Path] = []
     for path in data:
         train, held_out = training_episodes(path, phases=1)
         if split is not None:
@@ -97,7 +98,17 @@ def evaluate_prediction(
             print_table(error_table(errors[group]), f"{group}: mean prediction error")
             if spreads[group]:
                 print_table(calibration_table(spreads[group]), f"{group}: samples against outcomes")
-    files = [Path(out) / name for name in ("prediction.json", "prediction.png", "calibration.png")]
+            files = write_predictions(errors, spreads, Path(out))
+    for file in files:
+        print(file)
+    return errors, spreads
+
+
+def write_predictions(
+    errors: dict[str, list[PredictionError]], spreads: dict[str, list[Calibration]], out: Path
+) -> list[Path]:
+    """Write what is scored so far as JSON and pictures."""
+    files = [out / "prediction.json", out / "prediction.png"]
     rows = {
         key: [{"group": group} | row for group, each in groups.items() for scored in each for row in scored.rows()]
         for key, groups in (("error", errors), ("calibration", spreads))
@@ -105,11 +116,9 @@ def evaluate_prediction(
     write_atomically(files[0], lambda file: json.dump(rows, file, indent=1), text=True)
     save_figure(prediction_figure(errors), files[1])
     if any(spreads.values()):
+        files.append(out / "calibration.png")
         save_figure(calibration_figure(spreads), files[2])
-    for file in files:
-        if file.exists():
-            print(file)
-    return errors, spreads
+    return files
 
 
 def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: tuple[float, ...]) -> Any:
