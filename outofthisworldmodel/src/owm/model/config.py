@@ -47,9 +47,19 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
-    "paper": ModelConfig(width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2),
+    "paper": ModelConfig(
+        stream="latent",
+        skip="none",
+        width=128,
+        blocks=4,
+        heads=8,
+        window=32,
+        mlp_ratio=4,
+        head_width=128,
+        head_blocks=2,
+    ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the widths of the publication."""
+"""Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""
 
 
 def preset(name: str) -> ModelConfig:
