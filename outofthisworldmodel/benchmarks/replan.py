@@ -32,6 +32,7 @@ def untrained(name: str) -> LearnedWorldModel:
         jnp.asarray(np.diag(config.dt / inertia), jnp.float32),
         jnp.zeros(6, jnp.float32),
         jnp.zeros((3, 6), jnp.float32),
+        jnp.zeros((3, 15), jnp.float32),
     )
     one = jnp.ones((), jnp.float32)
     statistics = Statistics(

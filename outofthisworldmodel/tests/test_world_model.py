@@ -205,7 +205,7 @@ def test_measurements_of_another_dtype_are_taken(model, window):
         state = jax.eval_shape(model.encode, model.params, wide)
         after = jax.eval_shape(lambda s: model.step(model.params, None, action[7].astype(jnp.float64), s), state)
     for tree in (state, after):
-        assert {leaf.dtype for leaf in jax.tree.leaves(tree)} == {jnp.dtype("float32"), jnp.dtype("bool")}
+        assert {str(leaf.dtype) for leaf in jax.tree.leaves(tree)} == {"float32", "bool", "int32"}
     assert jax.tree.structure(state) == jax.tree.structure(after), "a rollout must scan"
 
 
@@ -248,11 +248,15 @@ def test_least_squares_recovers_mass_inertia_and_orbital_rate():
     np.testing.assert_allclose(coupling[1, 5], 2 * n, rtol=0.05)
     np.testing.assert_allclose(coupling[2, 4], -2 * n, rtol=0.05)
     np.testing.assert_allclose(coupling[2, 2], 3 * n * n, rtol=0.3)
+    # Euler's equations: the rate about x changes by (I_y - I_z) / I_x times the product of the others.
+    a, b, c = synthetic.INERTIA
+    yz, zx, xy = np.asarray(linear.gyroscopic)[:, 3:6].T / 0.25
+    np.testing.assert_allclose([yz[0], zx[1], xy[2]], [(b - c) / a, (c - a) / b, (a - b) / c], atol=0.02)
 
 
 def test_action_only_least_squares_moves_with_the_world_frame(episodes, window, errors):
-    """Without station terms the prediction turns and shifts with the frame it is expressed in."""
-    baseline = fit_least_squares(episodes, station=False)
+    """Without terms of motion the prediction turns and shifts with the frame it is expressed in."""
+    baseline = fit_least_squares(episodes, motion=False)
     observation, action = window
     turn = quat_from_rotation_vector(jnp.asarray([0.7, -1.1, 0.4]))
     shift = jnp.asarray([30.0, -50.0, 20.0])

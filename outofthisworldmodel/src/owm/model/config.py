@@ -32,6 +32,11 @@ class ModelConfig(BaseModel):
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
+    head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
+    """What the head learns: the plain rectified flow by its clean end or by its velocity, or a mean flow, whose single
+    evaluations are samples (`FlowHead`)."""
+    head_steps: PositiveInt = 1
+    """Evaluations of the head that a sample takes."""
 
     @model_validator(mode="after")
     def _check(self) -> "ModelConfig":
@@ -57,6 +62,7 @@ PRESETS: dict[str, ModelConfig] = {
         mlp_ratio=4,
         head_width=128,
         head_blocks=2,
+        head="velocity",
     ),
 }
 """Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""

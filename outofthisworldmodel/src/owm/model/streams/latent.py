@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from owm.data import Episodes
 from owm.model.bilinear import COLUMNS, bilinear_change, fit_bilinear_map
@@ -131,11 +131,21 @@ class LatentStream(eqx.Module):
         """Return the scaled features that lie in the tokens, the linear part of the decoder; undoes `embed`."""
         return jnp.sum(tokens[_OWNER] * jnp.asarray(embedding(self.width), tokens.dtype), axis=-1)
 
-    def start(self, statistics: Statistics, view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Latent:
-        """Encode a measured view in a window that starts at `anchor`."""
-        return self._encode(statistics, view, pose(anchor))
+    def follow(
+        self,
+        statistics: Statistics,
+        observation: Float[Array, "T 13"],
+        action: Float[Array, "T-1 6"],
+        valid: Bool[Array, "T"],
+        dt: float,
+    ) -> Latent:
+        """Encode the measurements of a window, each by itself."""
+        anchor = pose(observation[0])
+        return jax.vmap(lambda view: self._encode(statistics, view, anchor))(observation)
 
-    def observe(self, statistics: Statistics, carry: Latent, view: Float[Array, "13"]) -> Latent:
+    def observe(
+        self, statistics: Statistics, carry: Latent, action: Float[Array, "6"], view: Float[Array, "13"], dt: float
+    ) -> Latent:
         """Encode a new measurement; the anchor stays, because the tokens that attention remembers count from it."""
         return self._encode(statistics, view, carry.anchor)
 
@@ -170,7 +180,14 @@ class LatentStream(eqx.Module):
         return jax.lax.stop_gradient(change / self._scale(statistics))
 
     def advance(
-        self, statistics: Statistics, carry: Latent, residual: Float[Array, "4 d"], action: Float[Array, "6"], dt: float
+        self,
+        statistics: Statistics,
+        carry: Latent,
+        residual: Float[Array, "4 d"],
+        action: Float[Array, "6"],
+        dt: float,
+        *,
+        sampled: bool,
     ) -> Latent:
         """Add the map's change and the predicted residual to the tokens."""
         change = self._change(statistics, carry, action) + self._scale(statistics) * residual
