@@ -22,9 +22,9 @@ class FlowHead(eqx.Module):
       conditional mean, which is the deterministic prediction;
     - for `until = 0` the end of the flow: at `tau = 1` a sample of the residual, in one evaluation.
 
-    The plain rectified flow ("flow", or "velocity" as published) learns the first only. One step from noise then returns the conditional mean
-    whatever `eps` is, and what spread remains is what the head has failed to unlearn. The mean flow learns both
-    from the identity between average and instantaneous velocity.
+    The plain rectified flow ("flow", or "velocity" as published) learns the first only. One step from noise then
+    returns the conditional mean whatever `eps` is, and what spread remains is what the head has failed to unlearn.
+    The mean flow learns both from the identity between average and instantaneous velocity.
 
     Predicting `X` rather than a velocity keeps the noise out of a rollout, since residuals are small at 4 Hz. The
     output is an offset and a gain on `x_tau`, so that noise whose size depends on the context costs little width.
