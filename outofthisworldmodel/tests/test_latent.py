@@ -85,7 +85,7 @@ def test_untrained_it_predicts_by_its_map(untrained, episodes):
 
 def test_latents_do_not_collapse_in_training(statistics, episodes):
     """Without the map, where making targets easy would pay most."""
-    config = CONFIG.model_copy(update={"skip": "none"})
+    config = CONFIG.model_copy(update={"skip": "none", "head": "flow"})
     network = jax.jit(lambda: Network(config, key=jax.random.key(2)))()
     model = LearnedWorldModel(config, Params(network, statistics))
     windows = episodes.windows(4 + DEPTH, 64, seed=3)
