@@ -38,6 +38,9 @@ _KINEMATICS = "kinematics of a rigid body; accelerations"
 _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "latent world model": Given(
+        _MAP, "none; products of features fitted, the rest learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"
+    ),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
@@ -50,7 +53,7 @@ GIVEN: dict[str, Given] = {
 SCRIPTED = ("dock", "dock-geodesic", "random", "orbit", "excite")
 NAMES = (*SCRIPTED, "oracle-mppi")
 """What `load_policy` knows beside paths."""
-_KINDS = {"learned": "world model", "least_squares": "least-squares"}
+_KINDS = {"learned": "world model", "latent": "latent world model", "least_squares": "least-squares"}
 
 
 def kind_of(policy: str) -> str:
@@ -67,7 +70,10 @@ def kind_of(policy: str) -> str:
     if os.path.exists(policy) or is_repository(policy):
         header = _checkpoint(policy) / "config.json"
         try:
-            kind = json.loads(header.read_text(encoding="utf-8"))["kind"]
+            about = json.loads(header.read_text(encoding="utf-8"))
+            kind = about["kind"]
+            if kind == "learned" and about.get("config", {}).get("stream") == "latent":
+                kind = "latent"
         except (OSError, ValueError, KeyError, TypeError):
             raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
         if kind not in _KINDS:
