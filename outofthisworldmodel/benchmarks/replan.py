@@ -17,7 +17,7 @@ from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.exact import ExactDynamics
 from owm.model.config import preset
 from owm.model.linear import LinearMap
-from owm.model.stream import Statistics
+from owm.model.streams.kinematic import Statistics
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.policy import PlannerPolicy
 from owm_envs.config import load_config
@@ -32,6 +32,7 @@ def untrained(name: str) -> LearnedWorldModel:
         jnp.asarray(np.diag(config.dt / inertia), jnp.float32),
         jnp.zeros(6, jnp.float32),
         jnp.zeros((3, 6), jnp.float32),
+        jnp.zeros((3, 15), jnp.float32),
     )
     one = jnp.ones((), jnp.float32)
     statistics = Statistics(

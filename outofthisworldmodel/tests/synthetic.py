@@ -20,7 +20,7 @@ FORCE, TORQUE = 1600.0, 2000.0
 MEAN_MOTION = 1.1272e-3
 SUBSTEP = 0.05
 NOISE = (0.05, 0.002, 5e-5, 1e-5)
-POLICIES = ("random", "dock", "orbit", "held")
+POLICIES = ("random", "dock", "orbit", "excite")
 
 
 def derivative(view, action, orbital):

@@ -2,7 +2,9 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -11,7 +13,7 @@ from owm.baselines.least_squares import LeastSquares
 from owm.evaluation.docking import evaluation_config
 from owm.model.checkpoint import save_world_model
 from owm.model.linear import LinearMap
-from owm.policies import GIVEN, NAMES, kind_of, load_model
+from owm.policies import GIVEN, NAMES, differences, kind_of, load_model
 
 
 def python(code, **environ):
@@ -103,8 +105,9 @@ def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
     seen = []
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(owm.commands, "train", lambda data, out, config: seen.append((data, out, config)))
-    cli.main(["train", "--data", "d", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64"])
-    config = seen[0][2]
+    cli.main(["train", "--data", "d", "e", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64"])
+    data, _, config = seen[0]
+    assert data == (Path("d"), Path("e"))
     assert (config.steps, config.batch, config.model.width) == (400, 7, 64)
 
 
@@ -121,6 +124,17 @@ def test_every_policy_says_what_it_was_given():
         load_model("dock", None)
 
 
+def test_a_checkpoint_of_another_environment_is_told():
+    here = evaluation_config()
+    corpus = {"name": "c", "fidelity": "iss-hcw", "noise": here.noise.model_dump(mode="json"), "dt": 0.05}
+    (told,) = differences({"about": {"corpus": [corpus]}}, here)
+    assert told == "was trained on other fidelity than it flies in: iss-hcw; now iss-numerical"
+    (told,) = differences({"about": {"corpus": [corpus]}}, evaluation_config(fidelity="iss-hcw", noise="none"))
+    assert "other noise" in told and "'position': 0.05" in told
+    both = [corpus, corpus | {"fidelity": "iss-numerical"}]
+    assert differences({"about": {"corpus": both}}, here) == differences({"about": {}}, here) == []
+
+
 def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
     out = tmp_path / "fly"
@@ -133,7 +147,7 @@ def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd)
 
 
 def test_models_are_found_by_name_and_by_folder(tmp_path):
-    linear = LinearMap(*(jnp.zeros(shape, jnp.float32) for shape in ((6, 6), (6,), (3, 6))))
+    linear = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), LinearMap.skeleton(jnp.float32))
     save_world_model(LeastSquares(linear), tmp_path / "run" / "model")
     config = evaluation_config(fidelity="iss", precision="float32")
     for folder in (tmp_path / "run", tmp_path / "run" / "model"):

@@ -54,9 +54,16 @@ def results(folder, rows):
         corpus={"train": counts},
         training={"parameters": 12, "best_step": 0, "steps": 9, "episodes": 3, "val_episodes": 2},
         metrics=[
-            {"step": 0, "score": 2.0, "val_position_m": 1.0, "val_attitude_deg": 1.0},
+            {"step": 0, "score": 2.0, "behaviour/position_m": 1.0, "behaviour/attitude_deg": 1.0},
             {"step": 50, "flow_loss": 0.5, "decode_loss": 0.1},
-            {"step": 100, "flow_loss": 0.4, "decode_loss": 0.1, "score": 1, "val_position_m": 1, "val_attitude_deg": 1},
+            {
+                "step": 100,
+                "flow_loss": 0.4,
+                "decode_loss": 0.1,
+                "score": 1,
+                "behaviour/position_m": 1,
+                "behaviour/attitude_deg": 1,
+            },
         ],
         predictions=predictions,
         flights=rows,

@@ -22,6 +22,7 @@ GOAL = goal_poses()[PORT].astype(np.float32)
 LIMIT = (1600.0,) * 3 + (2000.0,) * 3
 ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
 NO_BIAS = np.zeros(6, np.float32)
+NONE_COMMITTED = np.zeros((0, 6), np.float32)
 BIAS = np.float32([0.012, -0.008, 0.01, 5e-4, 0, -5e-4])
 BOX_CORNER = GOAL[:3] + np.float32([24.0, -12.0, -12.0])
 CONFIG = PlannerConfig()
@@ -179,8 +180,8 @@ def test_the_coasting_wrench_cancels_a_steady_acceleration():
 
 def replan(view, seed=0, params=NO_BIAS):
     """Replan through the same compiled program as the policies below."""
-    return replan_slot(
-        FreeBody(), CONFIG.shape, params, TUNING, small_field(), np.int32(0), GOAL, history_at(view),
+    return replan_slot()(
+        FreeBody(), CONFIG.shape, params, TUNING, small_field(), np.int32(0), GOAL, history_at(view), NONE_COMMITTED,
         jax.device_get(mppi.init_planner(CONFIG.shape)), np.uint32(seed), np.uint32(0), np.uint32(0),
     )  # fmt: skip
 
@@ -208,9 +209,9 @@ def test_warm_start_is_the_rest_of_the_plan_and_the_expectation_is_the_models():
 
 def test_replan_does_not_compile_again_for_other_numbers():
     replan(view_at((0, -15, 3)))
-    before = replan_slot._cache_size()
+    before = replan_slot()._cache_size()
     replan(view_at((1, -9, 2)), seed=9, params=np.full(6, 1e-3, np.float32))
-    assert replan_slot._cache_size() == before
+    assert replan_slot()._cache_size() == before
 
 
 def test_a_model_that_predicts_nan_yields_finite_actions():
@@ -223,6 +224,7 @@ def test_a_model_that_predicts_nan_yields_finite_actions():
     [
         ({"objective": "geodetic"}, "did you mean 'geodesic'"),
         ({"chunk": 65}, "chunk must not exceed horizon=64, got 65"),
+        ({"latency": 8}, "latency must be less than chunk=8, got 8"),
         ({"knots": 1}, "knots"),
         ({"temperature": 0.0}, "temperature"),
         ({"lambda_": 0.3}, "lambda_"),
@@ -258,11 +260,12 @@ def miss(views):
     return np.linalg.norm(views[:, :3] - GOAL[:3], axis=1), np.linalg.norm(views[:, 3:6], axis=1), angle
 
 
-@pytest.mark.parametrize("bias", [NO_BIAS, BIAS])
-def test_reaches_the_goal_and_stays_there(bias):
-    """Bias or none: the corrector finds it and the warm start holds against it."""
-    policy = make()
+@pytest.mark.parametrize(("bias", "latency"), [(NO_BIAS, 0), (BIAS, 0), (BIAS, 1)])
+def test_reaches_the_goal_and_stays_there(bias, latency):
+    """Bias or none, planned in no time or in a step: the corrector finds it and the warm start holds against it."""
+    policy = make(latency=latency)
     views, actions = fly(policy, STARTS, 200, bias)
+    assert (actions[:latency] == 0).all() and np.abs(actions[latency]).max() > 1.0
     assert actions.dtype == np.float32 and actions.shape == (200, 2, 6)
     misses = []
     for _ in range(5):

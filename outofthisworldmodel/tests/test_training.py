@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import time
@@ -13,14 +14,17 @@ import jax
 import numpy as np
 import pytest
 from rich.console import Console
+from tensorboardX.proto.event_pb2 import Event
 
 from owm.data import Episodes
 from owm.evaluation.prediction import window_errors
 from owm.model.checkpoint import CheckpointError, load_world_model
 from owm.model.config import ModelConfig
+from owm.training.autobatch import largest_batch
 from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
 from owm.training.step import train_chunk
+from owm.training.validation import validation_sets
 
 CONFIG = TrainConfig(
     model=ModelConfig(width=8, heads=2, window=4, head_width=8, history_length=4),
@@ -33,6 +37,7 @@ CONFIG = TrainConfig(
     save_every=25,
     validation_windows=32,
     validation_horizon=32,
+    keep_checkpoints=3,
 )
 QUIET = Console(quiet=True)
 
@@ -107,7 +112,7 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
 
 
 def test_killed_and_resumed_equals_uninterrupted(uninterrupted, episodes, tmp_path):
-    result, whole, _ = uninterrupted
+    _, whole, _ = uninterrupted
     data, out = tmp_path / "data.npz", tmp_path / "killed"
     np.savez(data, **{f.name: np.asarray(getattr(episodes, f.name)) for f in fields(Episodes)})
 
@@ -131,13 +136,108 @@ def test_killed_and_resumed_equals_uninterrupted(uninterrupted, episodes, tmp_pa
     # What a kill within a line of the log would leave.
     with (out / "metrics.jsonl").open("a", encoding="utf-8") as file:
         file.write('{"step": 3')
-    resumed = train(CONFIG, episodes, episodes, out, console=QUIET)
-    for a, b in zip(jax.tree.leaves(resumed.model.params), jax.tree.leaves(result.model.params), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-7)
-    assert [line["step"] for line in lines(out)] == [line["step"] for line in lines(whole)]
-    np.testing.assert_allclose(
-        [line["flow_loss"] for line in lines(out)[1:]], [line["flow_loss"] for line in lines(whole)[1:]], rtol=1e-4
-    )
+    train(CONFIG, episodes, episodes, out, console=QUIET)
+    published = {
+        path.relative_to(whole) for folder in ("model", "checkpoints") for path in (whole / folder).rglob("*.*")
+    }
+    assert len(published) == 3 * (1 + CONFIG.keep_checkpoints)
+    for path in published:
+        assert (out / path).read_bytes() == (whole / path).read_bytes(), f"{path} differs"
+    assert lines(out) == lines(whole)
+
+
+def test_both_kinds_of_flights_choose_the_best(uninterrupted, episodes):
+    _, out, _ = uninterrupted
+    sets = validation_sets(CONFIG, episodes)
+    assert set(sets) == {"behaviour", "planner"}
+    planned = episodes.flown_by(["excite"])
+    assert set(planned.policies) == {"excite"} and len(planned) + len(episodes.flown_by(["excite"], others=True)) == 8
+    for line in lines(out):
+        assert line["score"] == pytest.approx((line["behaviour/score"] + line["planner/score"]) / 2)
+    assert set(validation_sets(CONFIG, episodes.flown_by(["dock"]))) == {"behaviour"}
+    assert episodes.flown_by(["nobody"]) is None
+
+
+def test_kept_checkpoints_are_models_to_compare(uninterrupted):
+    _, out, _ = uninterrupted
+    kept = sorted(int(path.name) for path in (out / "checkpoints").iterdir())
+    assert kept == [250, 275, 300]
+    names = [load_world_model(out / "checkpoints" / str(step)).name for step in kept]
+    assert names == ["learned, step 250", "learned, step 275", "learned, step 300"]
+
+
+def test_tensorboard_reads_what_the_lines_say(uninterrupted):
+    _, out, _ = uninterrupted
+    (file,) = (out / "tensorboard").iterdir()
+    data, told = file.read_bytes(), {}
+    while data:  # a record: length, its checksum, an event, its checksum
+        (length,) = struct.unpack("<Q", data[:8])
+        event = Event.FromString(data[12 : 12 + length])
+        told |= {(event.step, value.tag): value.simple_value for value in event.summary.value}
+        data = data[16 + length :]
+    written = {(line["step"], name): value for line in lines(out) for name, value in line.items() if name != "step"}
+    assert told == pytest.approx(written, rel=1e-6)
+
+
+def test_epochs_are_counted_in_steps():
+    config = TrainConfig(epochs=16, teacher_epochs=4, batch="auto", rollouts=((1.0, 64),))
+    settled = config.settled(windows=10_000, batch=64, devices=1)
+    assert settled.steps == 2500 and settled.teacher == pytest.approx(0.25)
+    assert (settled.batch, settled.epochs, settled.devices) == (64, None, 1)
+    assert TrainConfig().settled(10_000, 32, 1).steps == TrainConfig().steps
+
+
+@pytest.mark.parametrize("budget, batch", [(1100, 1), (1199, 1), (8_000, 64), (20_000, 128), (10**9, 4096)])
+def test_the_largest_batch_that_fits_is_found_in_few_tries(budget, batch):
+    tried = []
+
+    def needs(batch):
+        tried.append(batch)
+        return 1000 + 100 * batch
+
+    assert largest_batch(needs, budget, largest=4096) == batch
+    assert len(tried) == len(set(tried)) <= 5
+    with pytest.raises(ValueError, match="memory_gb must be at least"):
+        largest_batch(needs, 1000)
+
+
+def test_auto_batch_is_found_stored_and_kept(episodes, tmp_path):
+    config = CONFIG.model_copy(update={"batch": "auto", "memory_gb": 3e-3, "steps": 25, "precision": "bfloat16"})
+    train(config, episodes, episodes, tmp_path, console=QUIET)
+    batch = json.loads((tmp_path / "run.json").read_text())["settled"]["batch"]
+    about = json.loads((tmp_path / "model" / "config.json").read_text())["about"]
+    assert batch > 1 and batch & (batch - 1) == 0 and about["settled"]["batch"] == batch
+    leaves = jax.tree.leaves(load_world_model(tmp_path / "model").params)
+    assert {str(leaf.dtype) for leaf in leaves} == {"float32"}
+    log = lines(tmp_path)
+    assert 0.5 < log[-1]["flow_loss"] < 1.5 and log[-1]["score"] < 3 * log[0]["score"]
+    with pytest.raises(ValueError, match="memory_gb must be given"):
+        train(config.model_copy(update={"memory_gb": None}), episodes, episodes, tmp_path / "b", console=QUIET)
+
+
+DEVICES = (
+    CHILD
+    + """
+import jax
+assert jax.local_device_count() == 2
+"""
+)
+
+
+def test_two_devices_give_one_device_s_losses(uninterrupted, episodes, tmp_path):
+    config = CONFIG.model_copy(update={"steps": 50})
+    train(config, episodes, episodes, tmp_path / "one", console=QUIET)
+    data, out = tmp_path / "data.npz", tmp_path / "two"
+    np.savez(data, **{f.name: np.asarray(getattr(episodes, f.name)) for f in fields(Episodes)})
+    flags = {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    command = [sys.executable, "-c", DEVICES, str(data), config.model_dump_json(), str(out)]
+    subprocess.run(command, check=True, env=os.environ | flags, capture_output=True, timeout=300)
+    assert json.loads((out / "run.json").read_text())["settled"] == {"batch": 16, "devices": 2}
+    for ours, theirs in zip(lines(tmp_path / "one"), lines(out), strict=True):
+        assert theirs == pytest.approx(ours, rel=1e-3)
+    (out / "model").rename(out / "gone")
+    with pytest.raises(ValueError, match="devices must be at most 1, the local devices, got 2"):
+        train(config, episodes, episodes, out, console=QUIET)
 
 
 def test_data_that_does_not_fit_is_refused(episodes, tmp_path):

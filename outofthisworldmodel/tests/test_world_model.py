@@ -18,7 +18,7 @@ from owm.model.checkpoint import CheckpointError, load_world_model, save_world_m
 from owm.model.config import ModelConfig, preset
 from owm.model.interface import History
 from owm.model.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
-from owm.model.stream import KinematicStream
+from owm.model.streams.kinematic import KinematicStream
 from owm.model.transformer import Backbone
 from owm.model.world_model import LearnedWorldModel, Network, Params
 
@@ -104,12 +104,12 @@ def test_cached_rollout_equals_recomputing_everything(model, window, rolled, err
     @jax.jit
     def extend(track, action, last):
         """Fill in step `last + 1`; what follows is padding, which by causality cannot matter."""
-        inputs = jax.vmap(lambda motion: KinematicStream.inputs(statistics, motion))(track)
-        tokens = network.tokens(inputs[:-1], action / statistics.action_scale)
+        past = jax.tree.map(lambda x: x[:-1], track)
+        tokens = jax.vmap(lambda motion, action: network.tokens(statistics, motion, action))(past, action)
         outputs, _ = network.backbone.sequence(tokens, jnp.ones(len(tokens), bool))
         residual = network.head.sample(None, outputs[last, :1], 6)
         current = jax.tree.map(lambda x: x[last], track)
-        after = KinematicStream.advance(statistics, current, residual, action[last], CONFIG.dt)
+        after = network.stream.advance(statistics, current, residual, action[last], CONFIG.dt)
         return jax.tree.map(lambda x, y: x.at[last + 1].set(y), track, after), to_view(after)
 
     views = []
@@ -205,7 +205,7 @@ def test_measurements_of_another_dtype_are_taken(model, window):
         state = jax.eval_shape(model.encode, model.params, wide)
         after = jax.eval_shape(lambda s: model.step(model.params, None, action[7].astype(jnp.float64), s), state)
     for tree in (state, after):
-        assert {leaf.dtype for leaf in jax.tree.leaves(tree)} == {jnp.dtype("float32"), jnp.dtype("bool")}
+        assert {str(leaf.dtype) for leaf in jax.tree.leaves(tree)} == {"float32", "bool", "int32"}
     assert jax.tree.structure(state) == jax.tree.structure(after), "a rollout must scan"
 
 
@@ -248,11 +248,15 @@ def test_least_squares_recovers_mass_inertia_and_orbital_rate():
     np.testing.assert_allclose(coupling[1, 5], 2 * n, rtol=0.05)
     np.testing.assert_allclose(coupling[2, 4], -2 * n, rtol=0.05)
     np.testing.assert_allclose(coupling[2, 2], 3 * n * n, rtol=0.3)
+    # Euler's equations: the rate about x changes by (I_y - I_z) / I_x times the product of the others.
+    a, b, c = synthetic.INERTIA
+    yz, zx, xy = np.asarray(linear.gyroscopic)[:, 3:6].T / 0.25
+    np.testing.assert_allclose([yz[0], zx[1], xy[2]], [(b - c) / a, (c - a) / b, (a - b) / c], atol=0.02)
 
 
 def test_action_only_least_squares_moves_with_the_world_frame(episodes, window, errors):
-    """Without station terms the prediction turns and shifts with the frame it is expressed in."""
-    baseline = fit_least_squares(episodes, station=False)
+    """Without terms of motion the prediction turns and shifts with the frame it is expressed in."""
+    baseline = fit_least_squares(episodes, motion=False)
     observation, action = window
     turn = quat_from_rotation_vector(jnp.asarray([0.7, -1.1, 0.4]))
     shift = jnp.asarray([30.0, -50.0, 20.0])

@@ -31,6 +31,24 @@ def all_of(conditions: Shaped[ArrayLike, "N ..."]) -> Array | np.ndarray | np.ge
     return functools.reduce(operator.and_, conditions)
 
 
-def compiler_options() -> dict[str, bool | str] | None:
-    """`CPU_OPTIONS` where JAX computes on the CPU, None elsewhere: for `jax.jit`'s argument of that name."""
-    return CPU_OPTIONS if jax.default_backend() == "cpu" else None
+def compiler_options(*, libraries: bool = True) -> dict[str, bool | str] | None:
+    """`CPU_OPTIONS` where JAX computes on the CPU, None elsewhere: for `jax.jit`'s argument of that name.
+
+    Args:
+        libraries: let libraries compute sums and matrix products; without them a network of small matrices takes half
+            the time, for they hand each over to threads of their own.
+    """
+    if jax.default_backend() != "cpu":
+        return None
+    return CPU_OPTIONS if libraries else CPU_OPTIONS | _no_libraries()
+
+
+@functools.cache
+def _no_libraries() -> dict[str, str]:
+    """The option that leaves all to XLA itself, if this version of it has it."""
+    option = {"xla_cpu_experimental_ynn_fusion_type": ""}
+    try:
+        jax.jit(lambda x: x, compiler_options=option).lower(np.float32(0)).compile()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return option

@@ -122,15 +122,15 @@ def _train(preset: str):
     start_from = preset if preset in PRESETS else "nano"
 
     def train(
-        data: Path,
+        data: tuple[Path, ...],
         out: Path,
         preset: Preset = start_from,
         config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
     ) -> None:
-        """Train a world model on a dataset; a killed run is resumed by the same command.
+        """Train a world model; a killed run is resumed by the same command.
 
         Args:
-            data: Dataset, as `owm-envs generate` writes it.
+            data: Dataset, as `owm-envs generate` writes it, or several to train on together.
             out: Folder for the checkpoint.
             preset: Named configuration that the other flags change.
             config: The run.

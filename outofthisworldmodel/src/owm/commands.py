@@ -18,24 +18,25 @@ from owm.evaluation.tables import docking_table, port_table, prediction_table
 from owm.files import write_atomically
 from owm.planning.config import PlannerConfig
 from owm.policies import kind_of, load_model, load_policy
-from owm.recordings import at_model_rate, read_recordings, training_episodes
+from owm.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
 from owm_envs.station import PORT_NAMES
 
 
-def train(data: Path, out: Path, config: TrainConfig) -> None:
-    """Train a world model on a dataset as the demo does; `training_episodes` says what chooses the weights.
+def train(data: Sequence[Path], out: Path, config: TrainConfig) -> None:
+    """Train a world model on one or several datasets; `training_episodes` says what chooses the weights.
 
     Raises:
         FileNotFoundError, ValueError: the dataset is missing or damaged, or `out` holds another run.
     """
     from owm.training.loop import train as run
 
-    announce(f"reading {data} ...")
+    announce(f"reading {', '.join(str(path) for path in data)} ...")
     episodes, val = training_episodes(data)
     announce(f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on")
-    result = run(config, episodes, val, out, console=console)
+    about = {"corpus": [corpus_facts(path) for path in data]}
+    result = run(config, episodes, val, out, console=console, about=about)
     print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")
 
 

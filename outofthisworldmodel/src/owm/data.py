@@ -3,8 +3,8 @@
 Recordings run at 20 Hz, the model steps at 4 Hz: every fifth measurement, and the mean of the five actions between.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import Any, NamedTuple
 
@@ -72,16 +72,32 @@ class Episodes:
             sha.update(np.ascontiguousarray(array).tobytes())
         return sha.hexdigest()[:16]
 
-    def starts(self, length: int) -> Int[np.ndarray, "S"]:
+    def flown_by(self, policies: Collection[str], *, others: bool = False) -> "Episodes | None":
+        """Return the recordings of some policies, or of all others; None if there are none."""
+        keep = np.array([(policy in policies) != others for policy in self.policies], bool)
+        if not keep.any():
+            return None
+        rows = keep[self.episode]
+        number = np.cumsum(keep, dtype=np.int32) - 1
+        kept = np.flatnonzero(keep)
+        return replace(
+            self,
+            **{name: getattr(self, name)[rows] for name in ("observation", "truth", "action", "track")},
+            episode=number[self.episode[rows]],
+            policies=tuple(self.policies[i] for i in kept),
+            ports=tuple(self.ports[i] for i in kept),
+        )
+
+    def starts(self, length: int, *, check: bool = True) -> Int[np.ndarray, "S"]:
         """Return every row at which a window of `length` views fits into its track.
 
         Raises:
-            ValueError: if no track is that long.
+            ValueError: if no track is that long, unless `check` is False.
         """
         rows = len(self.track)
         first = np.arange(max(rows - length + 1, 0))
         first = first[self.track[first] == self.track[first + length - 1]].astype(np.int32)
-        if len(first) == 0:
+        if check and len(first) == 0:
             longest = int(np.bincount(self.track).max()) if rows else 0
             raise ValueError(f"no window of {length} views fits: the longest episode has {longest} at {self.dt} s")
         return first

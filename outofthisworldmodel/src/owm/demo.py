@@ -20,7 +20,7 @@ from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.tables import docking_table
 from owm.files import write_atomically
 from owm.planning.config import PlannerConfig
-from owm.recordings import at_model_rate, training_episodes
+from owm.recordings import at_model_rate, corpus_facts, training_episodes
 from owm.stages import Stages, peak_memory, source_digest
 from owm.training.config import PRESETS, TrainConfig
 from owm_envs.config import DockingConfig, load_config
@@ -195,7 +195,8 @@ def _train(out: Path, episodes: Episodes, val: Episodes, size: Scale, seed: int)
     from owm.training.loop import train
 
     config = size.train.model_copy(update={"seed": seed})
-    result = train(config, episodes, val, out / "train", console=console, name="world model")
+    about = {"corpus": [corpus_facts(out / "corpus")]}
+    result = train(config, episodes, val, out / "train", console=console, name="world model", about=about)
     parameters = sum(leaf.size for leaf in jax.tree.leaves(result.model.params.network))
     facts = {"score": float(result.score), "best_step": int(result.step), "parameters": int(parameters)}
     return facts | {"steps": episodes.steps, "episodes": len(episodes), "val_episodes": len(val)}

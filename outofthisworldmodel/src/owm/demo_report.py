@@ -328,7 +328,7 @@ def _curves(metrics: list[dict]):
         "decode loss": (steps, [line["decode_loss"] for line in trained]),
     }
     scored = [line for line in metrics if "score" in line]
-    names = {"val_position_m": "position, 16 s ahead [m]", "val_attitude_deg": "attitude, 16 s ahead [deg]"}
+    names = {"behaviour/position_m": "position, 16 s ahead [m]", "behaviour/attitude_deg": "attitude, 16 s ahead [deg]"}
     validation = {
         label: ([line["step"] for line in scored], [line[key] for line in scored]) for key, label in names.items()
     }

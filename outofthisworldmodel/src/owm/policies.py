@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from owm.model.hub import is_repository, local_folder
 from owm_envs.config import DockingConfig
 
 
@@ -63,7 +64,7 @@ def kind_of(policy: str) -> str:
         return policy
     if policy == "least-squares":
         raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
-    if os.path.exists(policy):
+    if os.path.exists(policy) or is_repository(policy):
         header = _checkpoint(policy) / "config.json"
         try:
             kind = json.loads(header.read_text(encoding="utf-8"))["kind"]
@@ -80,8 +81,8 @@ def kind_of(policy: str) -> str:
 
 
 def _checkpoint(path: str) -> Path:
-    """The model's folder: the one named, or `model` in the folder of a training run."""
-    folder = Path(path)
+    """The model's folder: the one named, or `model` in the folder of a training run, or a download from the hub."""
+    folder = local_folder(path)
     return folder / "model" if (folder / "model" / "config.json").is_file() else folder
 
 
@@ -118,6 +119,26 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
     return made
 
 
+def differences(header: dict[str, Any], config: DockingConfig) -> list[str]:
+    """How what a checkpoint was trained on differs from the environment, where its `config.json` tells."""
+    told = []
+    for part in ("fidelity", "noise"):
+        seen = [facts[part] for facts in header.get("about", {}).get("corpus", []) if part in facts]
+        now = config.model_dump(mode="json")[part]
+        if seen and now not in seen:
+            told.append(f"was trained on other {part} than it flies in: {_short(seen)}; now {_short([now])}")
+    return told
+
+
+def _short(values: list[Any]) -> str:
+    """Values in a few words: of a noise model, what is not zero."""
+    texts = [
+        value if isinstance(value, str) else str({k: v for k, v in value.items() if v and k != "bias"})
+        for value in values
+    ]
+    return ", ".join(dict.fromkeys(texts))
+
+
 def load_model(policy: str, config: DockingConfig) -> Any:
     """The world model behind "oracle-mppi" or a checkpoint.
 
@@ -131,7 +152,11 @@ def load_model(policy: str, config: DockingConfig) -> Any:
 
         return ExactDynamics(config.fidelity, config)
     if kind in _KINDS.values():
+        from owm.console import announce
         from owm.model.checkpoint import load_world_model
 
-        return load_world_model(_checkpoint(policy))
+        folder = _checkpoint(policy)
+        for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
+            announce(f"note: {policy} {text}")
+        return load_world_model(folder)
     raise ValueError(f"policy {policy!r} has no world model")

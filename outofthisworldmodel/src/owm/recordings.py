@@ -1,8 +1,13 @@
 """Recorded datasets as the episodes that training and scoring take."""
 
+import contextlib
+import json
 import os
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 from owm.data import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.reader import dataset_folder, read, read_info
@@ -54,17 +59,41 @@ def at_model_rate(recordings: Iterable[Episode], *, ports: Sequence[str] | None 
     return from_episodes(kept, phases=phases)
 
 
-def training_episodes(path: str | os.PathLike, phases: int = 5) -> tuple[Episodes, Episodes]:
-    """Read what to train on, and what to choose the best weights by: val, and every twelfth episode of train.
+def training_episodes(
+    paths: str | os.PathLike | Sequence[str | os.PathLike], phases: int = 5
+) -> tuple[Episodes, Episodes]:
+    """Read what to train on, and what to choose the best weights by: val, and flights set aside from train.
+
+    Of each dataset's train split every eighth flight of each policy is set aside (the last one of a policy that has
+    three to seven), so that each behaviour, the planner-style one too, is judged on flights not trained on.
 
     Args:
-        path: a 20 Hz dataset with the splits train and val.
+        paths: one or several 20 Hz datasets with the splits train and val; several are pooled.
         phases: offsets of the model's grid in the recording to train on, as `from_episodes` takes it.
 
     Raises:
         FileNotFoundError, ValueError: as `read_recordings` and `at_model_rate`.
     """
-    train, val = read_recordings(path, "train"), read_recordings(path, "val")
-    aside = train[11::12]
-    kept = [episode for i, episode in enumerate(train) if i % 12 != 11]
-    return at_model_rate(kept, phases=phases), at_model_rate([*val, *aside], ports=TRAIN_PORTS)
+    kept, judged = [], []
+    for path in [paths] if isinstance(paths, str | os.PathLike) else paths:
+        train = read_recordings(path, "train")
+        total, seen = Counter(episode.policy for episode in train), Counter()
+        for episode in train:
+            flights, number = total[episode.policy], seen[episode.policy]
+            aside = flights >= 3 and number % 8 == min(flights, 8) - 1
+            (judged if aside else kept).append(episode)
+            seen[episode.policy] += 1
+        judged += read_recordings(path, "val")
+    return at_model_rate(kept, phases=phases), at_model_rate(judged, ports=TRAIN_PORTS)
+
+
+def corpus_facts(path: str | os.PathLike) -> dict[str, Any]:
+    """What a checkpoint remembers of a dataset it was trained on: fidelity, noise and frame rate.
+
+    Datasets that `owm-envs generate` did not write don't tell all of them; those are then missing.
+    """
+    facts = {"name": Path(path).name}
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        environment = json.loads((Path(path) / "generation.json").read_text(encoding="utf-8"))["environment"]
+        facts |= {name: environment[name] for name in ("fidelity", "noise", "dt")}
+    return facts

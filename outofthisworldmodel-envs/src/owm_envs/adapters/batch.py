@@ -133,7 +133,7 @@ class BatchProgram:
                 kept, *host = call(k, self._slices[k])
                 return kept, *jax.device_get(host)
 
-        others = [_workers().submit(one, k) for k in range(1, len(self._slices))]
+        others = [workers().submit(one, k) for k in range(1, len(self._slices))]
         state, *host = zip(one(0), *(other.result() for other in others))
         return [state, *(joined(pieces) if join else pieces for pieces in host)]
 
@@ -192,14 +192,19 @@ def piece_count(num_envs: int) -> int:
     """Into how many equal pieces a batch is cut: as many as there are cores, if each keeps enough to do."""
     if jax.default_backend() != "cpu":
         return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    fits = [n for n in range(1, cores + 1) if num_envs % n == 0 and num_envs // n >= _LEAST_PIECE]
+    fits = [n for n in range(1, core_count() + 1) if num_envs % n == 0 and num_envs // n >= _LEAST_PIECE]
     return max(fits, default=1)
 
 
+def core_count() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @lru_cache(maxsize=1)
-def _workers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_name_prefix="owm_envs")
+def workers() -> ThreadPoolExecutor:
+    """Threads, one to a core, for compiled programs that run side by side."""
+    return ThreadPoolExecutor(core_count(), thread_name_prefix="owm_envs")
 
 
 def joined(pieces: Sequence[Any]) -> Any:

@@ -19,12 +19,13 @@ from safetensors.numpy import save as save_tensors
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.least_squares import LeastSquares
 from owm.model.config import ModelConfig
+from owm.model.hub import local_folder
 from owm.model.interface import WorldModel
 from owm.model.linear import LinearMap
-from owm.model.stream import STREAMS
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever older files would be read wrongly."""
 FILES = ("weights.safetensors", "statistics.json")
 
@@ -84,14 +85,15 @@ def load_world_model(path: str | os.PathLike, *, expect: ModelConfig | None = No
     """Read a world model.
 
     Args:
-        path: directory that `save_world_model` wrote.
+        path: directory that `save_world_model` wrote, or a repository of the Hugging Face hub, `user/name`.
         expect: configuration that a learned model must have, if only one will do.
 
     Raises:
+        FileNotFoundError: it is not on the hub, or the hub cannot be reached.
         CheckpointError: if a file is missing or damaged, the format is another version's, or configuration, names,
             shapes or types of the weights don't fit together.
     """
-    path = Path(path)
+    path = local_folder(path)
     if not (path / "config.json").is_file():
         raise CheckpointError(f"no world model at {path}: config.json is missing")
     try:
@@ -125,9 +127,7 @@ def _build(kind: str, header: dict, tensors: dict, numbers: dict, expect: ModelC
     if kind == "constant_velocity":
         return ConstantVelocity(**config, name=name)
     if kind == "least_squares":
-        shapes = {"action": (6, 6), "bias": (6,), "station": (3, 6)}
-        skeleton = LinearMap(**{k: jax.ShapeDtypeStruct(v, tensors["action"].dtype) for k, v in shapes.items()})
-        return LeastSquares(_fill(skeleton, tensors), **config, name=name)
+        return LeastSquares(_fill(LinearMap.skeleton(tensors["action"].dtype), tensors), **config, name=name)
     if kind != "learned":
         raise CheckpointError(f"unknown kind {kind!r}, expected learned, least_squares or constant_velocity")
     config = ModelConfig.model_validate(config)

@@ -10,8 +10,10 @@ class ModelConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    stream: Literal["kinematic"] = "kinematic"
-    """How observations become tokens and tokens become predictions."""
+    stream: Literal["kinematic", "latent"] = "kinematic"
+    """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
+    skip: Literal["bilinear", "none"] = "bilinear"
+    """What the latent stream adds to the network's prediction: a least-squares map of its features, or nothing."""
     dt: PositiveFloat = 0.25
     """Seconds a step."""
     history_length: PositiveInt = 8
@@ -30,11 +32,17 @@ class ModelConfig(BaseModel):
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
+    head: Literal["flow", "mean-flow"] = "mean-flow"
+    """What the head learns: the plain rectified flow, or one whose single evaluations are samples (`FlowHead`)."""
+    head_steps: PositiveInt = 1
+    """Evaluations of the head that a sample takes."""
 
     @model_validator(mode="after")
     def _check(self) -> "ModelConfig":
         if self.width % self.heads or (self.width // self.heads) % 2:
             raise ValueError(f"width must be an even multiple of heads, got width={self.width}, heads={self.heads}")
+        if self.stream == "latent" and self.width < 10:
+            raise ValueError(f"width must be at least 10 for the latent stream, got {self.width}")
         if self.head_width > self.width:
             raise ValueError(f"head_width must not exceed width={self.width}, got {self.head_width}")
         return self

@@ -6,45 +6,43 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Key, PyTree
 
 from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.interface import History
-from owm.model.stream import STREAMS, Statistics
+from owm.model.streams import STREAMS, Stream
 from owm.model.transformer import Backbone, Memory, Perceptron
 
 
 class Network(eqx.Module):
-    """The trained weights: an encoder for the stream's tokens, one for the action, the backbone and the flow head."""
+    """The trained weights: the stream's own, an encoder of the action, the backbone and the flow head."""
 
-    state_encoder: Perceptron
+    stream: Stream
     action_encoder: Perceptron
     kind: Float[Array, "n+1 d"]
     backbone: Backbone
     head: FlowHead
 
     def __init__(self, config: ModelConfig, *, key: Key[Array, ""], dtype: jnp.dtype = jnp.float32):
-        stream = STREAMS[config.stream]
-        k_state, k_action, k_kind, k_backbone, k_head = jax.random.split(key, 5)
-        self.state_encoder = Perceptron(stream.features, 2 * config.width, config.width, dtype, key=k_state)
+        k_stream, k_action, k_kind, k_backbone, k_head = jax.random.split(key, 5)
+        self.stream = STREAMS[config.stream](config, dtype, key=k_stream)
         self.action_encoder = Perceptron(6, 2 * config.width, config.width, dtype, key=k_action)
-        self.kind = 0.1 * jax.random.normal(k_kind, (stream.tokens + 1, config.width), dtype)
+        self.kind = 0.1 * jax.random.normal(k_kind, (self.stream.token_count + 1, config.width), dtype)
         self.backbone = Backbone(config, dtype, key=k_backbone)
-        self.head = FlowHead(config, stream.residual, dtype, key=k_head)
+        self.head = FlowHead(config, self.stream.residual_size, dtype, key=k_head)
 
-    def tokens(self, state: Float[Array, "*t n f"], action: Float[Array, "*t 6"]) -> Float[Array, "*t n+1 d"]:
+    def tokens(self, statistics: PyTree, carry: Any, action: Float[Array, "6"]) -> Float[Array, "n+1 d"]:
         """Return the token vector of a step: the stream's tokens, then the action's."""
-        return (
-            jnp.concatenate([self.state_encoder(state), self.action_encoder(action)[..., None, :]], axis=-2) + self.kind
-        )
+        action = self.action_encoder(action / statistics.action_scale)
+        return jnp.concatenate([self.stream.tokens(statistics, carry), action[None]]) + self.kind
 
 
 class Params(NamedTuple):
     """Everything traced: what training changes and what it measured."""
 
     network: Network
-    statistics: Statistics
+    statistics: PyTree
 
 
 class ModelState(NamedTuple):
@@ -72,11 +70,6 @@ class LearnedWorldModel:
         """Seconds a step."""
         return self.config.dt
 
-    @property
-    def stream(self) -> Any:
-        """The functions that tie observations to tokens."""
-        return STREAMS[self.config.stream]
-
     def encode(self, params: Params, history: History) -> ModelState:
         """Turn a history into the state from which `step` predicts; computed in the dtype of the weights."""
         history = _cast(params, history)
@@ -85,43 +78,43 @@ class LearnedWorldModel:
     def encode_sequence(self, params: Params, history: History) -> tuple[ModelState, Any, Float[Array, "H-1 n d"]]:
         """Encode, and also return the carries of all measurements and the backbone's output at all but the last."""
         network, statistics = params
-        anchor = history.observation[0]
-        carries = jax.vmap(lambda view: self.stream.start(view, anchor))(history.observation)
+        carries = network.stream.follow(statistics, *history, self.dt)
         past = jax.tree.map(lambda x: x[:-1], carries)
-        inputs = jax.vmap(lambda carry: self.stream.inputs(statistics, carry))(past)
-        actions = jax.vmap(lambda action: self.stream.action_inputs(statistics, action))(history.action)
-        outputs, memory = network.backbone.sequence(network.tokens(inputs, actions), history.valid[:-1])
-        return ModelState(jax.tree.map(lambda x: x[-1], carries), memory), carries, outputs[:, : self.stream.tokens]
+        tokens = jax.vmap(lambda carry, action: network.tokens(statistics, carry, action))(past, history.action)
+        outputs, memory = network.backbone.sequence(tokens, history.valid[:-1])
+        last = jax.tree.map(lambda x: x[-1], carries)
+        return ModelState(last, memory), carries, outputs[:, : network.stream.token_count]
 
     def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, Memory]:
         """Run the backbone on the current step under an action; return its output for the stream's tokens."""
         network, statistics = params
-        tokens = network.tokens(
-            self.stream.inputs(statistics, state.carry), self.stream.action_inputs(statistics, action)
-        )
-        output, memory = network.backbone.step(tokens, state.memory)
-        return output[: self.stream.tokens], memory
+        output, memory = network.backbone.step(network.tokens(statistics, state.carry, action), state.memory)
+        return output[: network.stream.token_count], memory
 
     def step(
         self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
     ) -> ModelState:
-        """Predict one step of `dt`; with a key the flow starts from noise (`FlowHead` says what that is worth)."""
+        """Predict one step of `dt`: what is expected, or with a key a sample of the next measurement."""
+        network, statistics = params
         action = _cast(params, action)
         output, memory = self.attend(params, action, state)
-        residual = params.network.head.sample(key, output, self.stream.residual)
-        return ModelState(self.stream.advance(params.statistics, state.carry, residual, action, self.dt), memory)
+        sampled = key is not None
+        residual = network.head.sample(key, output, self.config.head_steps) if sampled else network.head.mean(output)
+        carry = network.stream.advance(statistics, state.carry, residual, action, self.dt, sampled=sampled)
+        return ModelState(carry, memory)
 
     def observe(
         self, params: Params, state: ModelState, action: Float[Array, "6"], observation: Float[Array, "13"]
     ) -> ModelState:
-        """Advance by one executed action and the measurement that followed it, which becomes the new anchor."""
+        """Advance by one executed action and the measurement that followed it."""
+        network, statistics = params
         observation, action = _cast(params, (observation, action))
         _, memory = self.attend(params, action, state)
-        return ModelState(self.stream.start(observation, observation), memory)
+        return ModelState(network.stream.observe(statistics, state.carry, action, observation, self.dt), memory)
 
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""
-        return self.stream.decode(state.carry)
+        return params.network.stream.decode(params.statistics, state.carry)
 
 
 def _cast(params: Params, tree: Any) -> Any:

@@ -64,6 +64,7 @@ class Shape(NamedTuple):
     candidates: int
     horizon: int
     chunk: int
+    latency: int
     knots: int
     objective: str
 
@@ -85,6 +86,9 @@ class PlannerConfig(BaseModel):
     """Model steps a candidate looks ahead. Source: paper."""
     chunk: PositiveInt = 8
     """Steps executed open-loop between replans. Source: paper."""
+    latency: Annotated[int, Field(ge=0)] = 0
+    """Steps from the measurement of a replan to the first action planned from it, less than `chunk`: those before it
+    were planned at the last replan, or are zero. With it a flight may take that long to compute a plan."""
     temperature: PositiveFloat = 0.3
     """lambda of the softmax over candidates, in units of the cost. Source: paper."""
     knots: Annotated[int, Field(ge=2)] = 9
@@ -155,6 +159,8 @@ class PlannerConfig(BaseModel):
     def _consistent(self) -> "PlannerConfig":
         if self.chunk > self.horizon:
             raise ValueError(f"chunk must not exceed horizon={self.horizon}, got {self.chunk}")
+        if self.latency >= self.chunk:
+            raise ValueError(f"latency must be less than chunk={self.chunk}, got {self.latency}")
         if self.knots > self.horizon:
             raise ValueError(f"knots must not exceed horizon={self.horizon}, got {self.knots}")
         return self

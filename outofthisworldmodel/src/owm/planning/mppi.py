@@ -102,6 +102,7 @@ def plan(
     port: Int[Array, ""],
     goal: Float[Array, "7"],
     history: History,
+    committed: Float[Array, "L 6"],
     state: PlannerState,
     key: Key[Array, ""],
 ) -> tuple[Float[Array, "C 6"], PlannerState]:
@@ -116,11 +117,12 @@ def plan(
         field: geodesic field and hull clearance; port: its row.
         goal: hold pose: m, quaternion body to station.
         history: measurements up to now.
+        committed: wrenches [N, N m] of the next `shape.latency` steps, which can no longer be changed.
         state: of this episode.
         key: of this replan.
 
     Returns:
-        The wrenches [N, N m] to execute until the next replan, `model.dt` each, and the next state.
+        The wrenches [N, N m] to execute after those, `model.dt` each, and the next state.
     """
     dtype = state.plan.dtype
     measured = history.observation[-1].astype(dtype)
@@ -136,8 +138,10 @@ def plan(
     # The rollout is vmapped whole, not its step: what no action moves (the context, the station) is computed
     # once.
     start = model.encode(params, history)
+    if shape.latency:
+        start, _ = jax.lax.scan(lambda at, wrench: (model.step(params, None, wrench, at), None), start, committed)
     views = jax.vmap(lambda actions: rollout(model, params, start, actions * tuning.limit))(candidates)
-    elapsed = model.dt * jnp.arange(1, shape.horizon + 1, dtype=dtype)
+    elapsed = model.dt * (shape.latency + jnp.arange(1, shape.horizon + 1, dtype=dtype))
     views = jax.vmap(jax.vmap(apply, (None, 0, 0)), (None, 0, None))(correction, views, elapsed)
     clear = clearance(field, measured[:3]) >= 0
     costs = jax.vmap(lambda v, u: sequence_cost(shape.objective, tuning.weights, field, port, goal, clear, v, u))(
@@ -154,5 +158,5 @@ def plan(
     # What the model expects of the executed wrenches: over one chunk the views are linear in the actions to
     # well below the sensors' noise, so they may be averaged like them, which saves another rollout and its
     # compilation.
-    expected = jnp.einsum("k,ki->i", weights, views[:, shape.chunk - 1])
+    expected = jnp.einsum("k,ki->i", weights, views[:, shape.chunk - shape.latency - 1])
     return wrenches, PlannerState(following, expected, jnp.all(jnp.isfinite(expected)), correction)

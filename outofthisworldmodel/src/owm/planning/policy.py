@@ -1,21 +1,39 @@
 """The planner as a policy that flies the vector environment: the one stateful shell around `plan`."""
 
 import time
-from collections.abc import Sequence
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from typing import Any, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from astrojax.compilation import compiler_options
 from owm.model.interface import History, WorldModel
 from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, init_planner, plan
+from owm_envs.adapters.batch import workers
 from owm_envs.config import DockingConfig
 from owm_envs.env import DockingEnv
 from owm_envs.geodesic import GeodesicField, field_rows
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
+
+
+class Learner(Protocol):
+    """Parameters of a model that follow what a flight shows of them: pure functions of one slot, hashable."""
+
+    def init(self, params: PyTree) -> Any:
+        """What is known before the flight."""
+
+    def learn(
+        self, known: Any, before: Float[Array, "13"], action: Float[Array, "6"], after: Float[Array, "13"]
+    ) -> Any:
+        """Take in one transition: measured views, `dt` apart, and the wrench [N, N m] held between them."""
+
+    def params(self, known: Any) -> PyTree:
+        """The parameters to plan with."""
 
 
 class SlotStates(NamedTuple):
@@ -24,21 +42,23 @@ class SlotStates(NamedTuple):
     observation: Float[np.ndarray, "B H 13"]
     action: Float[np.ndarray, "B H-1 6"]
     valid: Bool[np.ndarray, "B H"]
-    chunk: Float[np.ndarray, "B C 6"]
-    """Wrenches [N, N m] of the last replan."""
+    chunk: Float[np.ndarray, "B L+C 6"]
+    """Wrenches [N, N m]: those that stood when the last replan began (L), and what it planned."""
     index: Int[np.ndarray, "B"]
-    """The next of them to execute; at the chunk's end the slot replans."""
+    """The next of them to execute; when C are, the slot replans."""
     replans: Int[np.ndarray, "B"]
     """Replans in this episode."""
     planner: PlannerState
+    known: Any
+    """What the learner knows of each slot; () without a learner."""
 
 
 class PlannerPolicy:
     """Fly a batch of slots by replanning with a world model.
 
     It sees observations and ports, never `info`. Each slot keeps its own history, plan, correction and place
-    in its chunk, all cleared when its episode begins; only slots that are due replan, one after the other
-    through one compiled program, whose work does not depend on how many slots there are.
+    in its chunk, all cleared when its episode begins. Only slots that are due replan, each by itself through one
+    compiled program, as many side by side as there are cores.
 
     Args:
         model: a world model; its `precision`, "float32" unless it says otherwise, decides in which mode it
@@ -47,12 +67,14 @@ class PlannerPolicy:
         env: the environment to be flown, or its configuration: layout, wrench limits, decision rate.
         config: the planner's.
         num_slots: episodes flown side by side.
+        learner: replaces the model's parameters by those it finds in flight.
         seed: decides every draw; each slot has keys of its own, the same ones in every episode.
 
     Attributes:
         active: (num_slots,) set to False where an episode has ended: such a slot is skipped and gets zero
             actions until its next reset.
-        seconds: wall time of each replan so far, the first one's compilation included.
+        seconds: wall time of each replan so far, the first one's compilation included; of those side by side each
+            by itself.
 
     Raises:
         ValueError: the environment's decision rate is not the model's.
@@ -66,6 +88,7 @@ class PlannerPolicy:
         config: PlannerConfig | None = None,
         num_slots: int = 1,
         seed: int = 0,
+        learner: Learner | None = None,
     ):
         env = env if isinstance(env, DockingEnv) else DockingEnv(env)
         if not np.isclose(env.config.decision_dt, model.dt):
@@ -83,6 +106,7 @@ class PlannerPolicy:
         self.name = f"mppi, {model.name}"
         self.active = np.ones(num_slots, bool)
         self.seconds: list[float] = []
+        self._learner = learner
         self._seed = np.uint32(seed)
         self._wide = getattr(model, "precision", "float32") == "float64"
         self._tuning = self.config.tuning(env.layout.wrench_limit)
@@ -98,15 +122,23 @@ class PlannerPolicy:
         """Every slot before its first measurement; its chunk is used up."""
         slots, history, shape = self.num_slots, self.model.history_length, self.config.shape
         planner = jax.device_get(init_planner(shape))
+        known = ()
+        if self._learner is not None:
+            known = self._each(jax.device_get(self._learner.init(self.model.params)))
         return SlotStates(
             observation=np.zeros((slots, history, 13), np.float32),
             action=np.zeros((slots, history - 1, 6), np.float32),
             valid=np.zeros((slots, history), bool),
-            chunk=np.zeros((slots, shape.chunk, 6), np.float32),
+            chunk=np.zeros((slots, shape.latency + shape.chunk, 6), np.float32),
             index=np.full(slots, shape.chunk, np.int32),
             replans=np.zeros(slots, np.uint32),
-            planner=jax.tree.map(lambda x: np.repeat(x[None], slots, axis=0), planner),
+            planner=self._each(planner),
+            known=known,
         )
+
+    def _each(self, tree: Any) -> Any:
+        """The same for every slot."""
+        return jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], self.num_slots, axis=0), tree)
 
     def reset(
         self,
@@ -191,7 +223,7 @@ class PlannerPolicy:
         if due.size:
             state = self._replan(state, due)
         slots = np.arange(self.num_slots)
-        wrench = state.chunk[slots, np.minimum(state.index, self.config.chunk - 1)]
+        wrench = state.chunk[slots, np.minimum(state.index, state.chunk.shape[1] - 1)]
         action = self.layout.action(np.where(self.active[:, None], wrench, np.float32(0))).astype(np.float32)
         self._state = state._replace(index=state.index + self.active)
         return (action[0] if single else action), self._state
@@ -207,10 +239,19 @@ class PlannerPolicy:
         continuous = view.copy()
         continuous[:, 6:10] *= np.where(flip, np.float32(-1), np.float32(1))[:, None]
         executed = state.chunk[np.arange(self.num_slots), state.index - 1]
+        known = state.known
+        if self._learner is not None:
+            # The noise of the measurement that a plan was made from is in its first action: what follows would be
+            # taken for the action's work.
+            telling = self.active & ~fresh & ((state.index > 1) | (self.config.latency > 0))
+            known = jax.device_get(
+                _learn(self._learner, known, telling, state.observation[:, -1], executed, continuous)
+            )
         longer = state._replace(
             observation=np.concatenate([state.observation, continuous[:, None]], axis=1)[:, 1:],
             action=np.concatenate([state.action, executed[:, None]], axis=1)[:, 1:],
             valid=np.concatenate([state.valid, np.ones((self.num_slots, 1), bool)], axis=1)[:, 1:],
+            known=known,
         )
         begun = self._fresh._replace(
             observation=np.broadcast_to(view[:, None], state.observation.shape),
@@ -220,27 +261,38 @@ class PlannerPolicy:
 
     def _replan(self, state: SlotStates, due: Int[np.ndarray, "D"]) -> SlotStates:
         """Replan the slots that are due."""
-        began = time.perf_counter()
-        with jax.enable_x64(self._wide):
-            outputs = [
-                replan_slot(
+        chunk, replan = self.config.chunk, replan_slot()
+        committed = state.chunk[:, chunk:]
+
+        def one(slot: int) -> tuple:
+            began = time.perf_counter()
+            params = self.model.params
+            if self._learner is not None:
+                params = self._learner.params(jax.tree.map(lambda x: x[slot], state.known))
+            with jax.enable_x64(self._wide):  # of this thread
+                output = replan(
                     self.model,
                     self.config.shape,
-                    self.model.params,
+                    params,
                     self._tuning,
                     self._field,
                     np.int32(self._rows[self._ports[slot]]),
                     self._goals[self._ports[slot]],
                     History(state.observation[slot], state.action[slot], state.valid[slot]),
-                    jax.tree.map(lambda x, slot=slot: x[slot], state.planner),
+                    committed[slot],
+                    jax.tree.map(lambda x: x[slot], state.planner),
                     self._seed,
                     np.uint32(slot),
                     state.replans[slot],
                 )
-                for slot in due
-            ]
-            wrenches, planners = jax.tree.map(lambda *rows: np.stack(rows), *jax.device_get(outputs))
-        self.seconds.extend([(time.perf_counter() - began) / due.size] * due.size)
+                output = jax.device_get(output)
+            self.seconds.append(time.perf_counter() - began)
+            return output
+
+        # The first call compiles, once.
+        first = [one(slot) for slot in due[: not self.seconds]]
+        outputs = [*first, *workers().map(one, due[len(first) :])]
+        wrenches, planners = jax.tree.map(lambda *rows: np.stack(rows), *outputs)
 
         def put(old, new):
             old = old.copy()
@@ -248,15 +300,30 @@ class PlannerPolicy:
             return old
 
         return state._replace(
-            chunk=put(state.chunk, wrenches),
+            chunk=put(state.chunk, np.concatenate([committed[due], wrenches], axis=1)),
             index=put(state.index, 0),
             replans=put(state.replans, state.replans[due] + 1),
             planner=jax.tree.map(put, state.planner, planners),
         )
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def replan_slot(model, shape, params, tuning, field, port, goal, history, planner, seed, slot, count):
+@cache
+def replan_slot() -> Callable[..., tuple[Float[Array, "C 6"], PlannerState]]:
     """One slot's replan, compiled once per model and shape; its key follows from seed, slot and count."""
-    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), slot), count)
-    return plan(model, shape, params, tuning, field, port, goal, history, planner, key)
+
+    def replan(model, shape, params, tuning, field, port, goal, history, committed, planner, seed, slot, count):
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), slot), count)
+        return plan(model, shape, params, tuning, field, port, goal, history, committed, planner, key)
+
+    return jax.jit(replan, static_argnums=(0, 1), compiler_options=compiler_options(libraries=False))
+
+
+@partial(jax.jit, static_argnums=0)
+def _learn(learner, known, telling, before, action, after):
+    """Every slot's transition taken in, where it tells anything."""
+
+    def one(known, telling, before, action, after):
+        learned = learner.learn(known, before, action, after)
+        return jax.tree.map(lambda new, old: jnp.where(telling, new, old), learned, known)
+
+    return jax.vmap(one)(known, telling, before, action, after)

@@ -1,8 +1,18 @@
 """How a world model is trained: a frozen, validated configuration and its presets."""
 
-from typing import Annotated
+import math
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    model_validator,
+)
 
 from owm.model.config import PRESETS as MODELS
 from owm.model.config import ModelConfig
@@ -19,8 +29,16 @@ class TrainConfig(BaseModel):
     """The network to train."""
     steps: PositiveInt = 6000
     """Optimisation steps."""
-    batch: PositiveInt = 32
-    """Windows a step."""
+    epochs: PositiveFloat | None = None
+    """Where given, in place of `steps`: passes over as many windows as the training episodes hold."""
+    batch: PositiveInt | Literal["auto"] = 32
+    """Windows a step; "auto" is the largest power of two whose step fits into `memory_gb`, found before training."""
+    memory_gb: PositiveFloat | None = None
+    """What a step of batch="auto" may take; None is nine tenths of the device's memory, where it tells how much."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the network's forward and backward pass; weights, statistics, kinematics and losses are float32."""
+    devices: PositiveInt | None = None
+    """Local devices that share each batch; None is all of them."""
     learning_rate: PositiveFloat = 1e-3
     """Peak of AdamW's rate; it rises linearly over `warmup` steps, then falls along a cosine to a hundredth."""
     warmup: PositiveInt = 300
@@ -31,20 +49,26 @@ class TrainConfig(BaseModel):
     """Largest gradient norm."""
     teacher: Fraction = 0.25
     """Fraction of the run over which the probability of continuing from the measurement falls from one to zero."""
+    teacher_epochs: NonNegativeFloat | None = None
+    """Where given, in place of `teacher`: the same in epochs."""
     rollouts: tuple[tuple[Fraction, PositiveInt], ...] = ((0.5, 16), (1.0, 32))
     """Rollout lengths `F`, each up to a fraction of the run; a jump by more than a factor of two destabilises."""
     flow_weight: NonNegativeFloat = 1.0
     """Weight of the flow loss."""
     decode_weight: NonNegativeFloat = 1.0
     """Weight of the decode loss."""
+    round_trip_weight: NonNegativeFloat = 1.0
+    """Weight of the round-trip loss."""
     chunk: PositiveInt = 50
     """Steps a compiled call makes, between which progress is reported."""
     save_every: PositiveInt = 500
     """Steps between saves and validations, a multiple of `chunk`."""
     validation_windows: PositiveInt = 256
-    """Fixed windows that choose the best weights."""
+    """Fixed windows of each kind, behaviour and planner-style, that choose the best weights."""
     validation_horizon: PositiveInt = 64
     """Steps of every validation rollout."""
+    keep_checkpoints: NonNegativeInt = 20
+    """Latest saves whose weights stay under `checkpoints`, to be compared."""
     seed: int = 0
     """Of weights, batches, noise and the choice of validation windows."""
 
@@ -59,6 +83,23 @@ class TrainConfig(BaseModel):
             raise ValueError(f"rollouts must be pairs of rising fractions ending at 1.0, got {self.rollouts}")
         return self
 
+    def settled(self, windows: int, batch: int, devices: int) -> "TrainConfig":
+        """Return the same run with epochs counted in steps, and batch and devices as found.
+
+        Args:
+            windows: how many of the longest rollout the training episodes hold: an epoch.
+            batch: windows a step.
+            devices: that share it.
+        """
+        epoch = windows / batch
+        steps, teacher = self.steps, self.teacher
+        if self.epochs is not None:
+            steps = math.ceil(self.epochs * epoch / self.chunk) * self.chunk
+        if self.teacher_epochs is not None:
+            teacher = min(self.teacher_epochs * epoch / steps, 1.0)
+        found = {"batch": batch, "devices": devices, "steps": steps, "teacher": teacher}
+        return self.model_copy(update=found | {"epochs": None, "teacher_epochs": None})
+
     def rollout_at(self, step: int) -> int:
         """Return the rollout length `F` of a step."""
         return next(length for end, length in self.rollouts if step < end * self.steps or end == 1.0)
@@ -69,7 +110,12 @@ PRESETS: dict[str, TrainConfig] = {
     "nano": TrainConfig(),
     "small": TrainConfig(model=MODELS["small"], steps=20_000, rollouts=((0.4, 16), (0.8, 32), (1.0, 64))),
     "paper": TrainConfig(
-        model=MODELS["paper"], steps=200_000, batch=256, rollouts=((0.3, 16), (0.6, 32), (1.0, 64)), save_every=5000
+        model=MODELS["paper"],
+        epochs=16,
+        teacher_epochs=4,
+        batch="auto",
+        precision="bfloat16",
+        rollouts=((1.0, 64),),
     ),
 }
 """`ci`: about half a minute on two cores; `nano`: minutes; `small`: an hour; `paper`: an accelerator (not measured)."""

@@ -2,7 +2,7 @@
 
 import json
 import os
-import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,19 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
+from jax.sharding import Mesh
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from owm.data import Episodes, Windows
-from owm.evaluation.prediction import window_errors
-from owm.model.checkpoint import CheckpointError, load_world_model, save_world_model
-from owm.model.stream import STREAMS
+from owm.data import Episodes
+from owm.model.checkpoint import load_world_model, save_world_model
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
+from owm.training import rundir
+from owm.training.autobatch import compiled_bytes, largest_batch, memory_budget
 from owm.training.config import TrainConfig
-from owm.training.step import TrainState, initial_state, train_chunk
-
-SCORE_UNITS = (0.1, 0.05, float(np.deg2rad(1.0)), float(np.deg2rad(0.1)))
-"""Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in the validation score."""
+from owm.training.metrics import Metrics, View
+from owm.training.step import TrainState, batch_mesh, initial_state, put, train_chunk
+from owm.training.validation import validate, validation_sets
 
 
 @dataclass(frozen=True)
@@ -54,12 +54,12 @@ def train(
     resume: bool = True,
     console: Console | None = None,
     name: str = "learned",
+    about: Mapping[str, Any] | None = None,
 ) -> TrainResult:
     """Train a world model and publish the weights with the best validation score as `out_dir/model`.
 
-    The score is the mean over windows and horizons of position, velocity, attitude and rate error norms in
-    `SCORE_UNITS`, of fully autoregressive, deterministic rollouts against the measurements. A killed run leaves
-    no model but resumes: `out_dir/state` holds what is needed, and the same numbers follow as without the kill.
+    `owm.training.validation` says what the score is, `owm.training.rundir` what lies where. A killed run leaves no
+    model but resumes: the same weights follow, bit for bit, as without the kill.
 
     Args:
         config: how to train; a directory that holds a run of another configuration or data is refused.
@@ -69,9 +69,11 @@ def train(
         resume: continue, or return, what `out_dir` holds; otherwise start over.
         console: for progress; a quiet one silences it.
         name: what reports will call the model.
+        about: JSON-able facts to keep beside the weights, such as `corpus`, what they were trained on.
 
     Raises:
-        ValueError: if the data doesn't fit the configuration, or `out_dir` holds another run or a damaged one.
+        ValueError: if the data doesn't fit the configuration, `out_dir` holds another run or a damaged one, or batch,
+            memory and devices don't go together.
         FloatingPointError: the loss diverged.
     """
     out = Path(out_dir)
@@ -81,91 +83,113 @@ def train(
         "train": episodes_train.digest(),
         "val": episodes_val.digest(),
     }
-    if not resume and out.exists():
-        for part in ("state", "model", "run.json", "metrics.jsonl"):
-            _remove(out / part)
-    out.mkdir(parents=True, exist_ok=True)
-    _claim(out, fingerprint)
-    metrics = out / "metrics.jsonl"
-    if (out / "model").exists():
+    if not resume:
+        rundir.clear(out)
+    found = rundir.read_claim(out, fingerprint)
+    metrics_file = out / "metrics.jsonl"
+    if found and (out / "model").exists():
         model = load_world_model(out / "model", expect=config.model)
-        about = json.loads((out / "model" / "config.json").read_text(encoding="utf-8"))["about"]
-        return TrainResult(model, about["score"], about["step"], out / "model", metrics)
+        said = json.loads((out / "model" / "config.json").read_text(encoding="utf-8"))["about"]
+        return TrainResult(model, said["score"], said["step"], out / "model", metrics_file)
 
     console = Console() if console is None else console
-    stream = STREAMS[config.model.stream]
-    statistics = stream.fit(episodes_train)
+    devices = _devices(found["devices"] if found else config.devices)
+    mesh = batch_mesh(devices)
+    statistics = STREAMS[config.model.stream].fit(episodes_train)
     dtype = jnp.asarray(episodes_train.observation[:1]).dtype
     rows = (jnp.asarray(episodes_train.observation), jnp.asarray(episodes_train.action))
-    history = config.model.history_length
-    starts = {depth: jnp.asarray(episodes_train.starts(history + depth)) for _, depth in config.rollouts}
-    validation = episodes_val.windows(history + config.validation_horizon, config.validation_windows, seed=config.seed)
-    options = ocp.CheckpointManagerOptions(max_to_keep=1, enable_async_checkpointing=False, create=True)
-    with ocp.CheckpointManager((out / "state").absolute(), options=options) as manager:
-        state = _restore(manager, initial_state(config, dtype))
-        _truncate(metrics, int(state.step) or -1)
+    depths = {depth for _, depth in config.rollouts}
+    starts = {depth: jnp.asarray(episodes_train.starts(config.model.history_length + depth)) for depth in depths}
+    windows = len(starts[max(depths)])
+    statistics, rows, starts = put(mesh, (statistics, rows, starts))
+
+    def lowered(batch: int) -> Any:
+        """The costliest step at a batch size, to be compiled."""
+        settled = config.settled(windows, batch, devices).model_copy(update={"steps": 1, "teacher": 0.0})
+        state = jax.eval_shape(lambda: initial_state(settled, dtype))
+        model = LearnedWorldModel(config.model, Params(state.network, statistics), name)
+        return train_chunk.lower(
+            settled, model, state.network, state.optimizer, statistics, rows, starts[max(depths)], state.step,
+            depth=max(depths), count=config.chunk, mesh=mesh,
+        )  # fmt: skip
+
+    if found is None:
+        batch = config.batch
+        if batch == "auto":
+            budget = memory_budget(config.memory_gb)
+            with console.status("finding the batch size: each try compiles a step ..."):
+                batch = largest_batch(lambda b: compiled_bytes(lowered(b).compile()), budget, devices, windows)
+            console.print(f"batch {batch}")
+        if batch % devices:
+            raise ValueError(f"batch must be a multiple of devices={devices}, got {batch}")
+        found = {"batch": batch, "devices": devices}
+        rundir.write_claim(out, fingerprint, found)
+    config = config.settled(windows, **found)
+    said = {
+        **(about or {}),
+        "train_steps": episodes_train.steps,
+        "parameters": sum(leaf.size for leaf in jax.tree.leaves(jax.eval_shape(lambda: initial_state(config)).network)),
+        "settled": config.model_dump(mode="json", exclude={"model"}),
+        "run": fingerprint,
+    }
+    state = _run(config, statistics, rows, starts, episodes_val, out, mesh, dtype, console, name, said)
+    model = LearnedWorldModel(config.model, Params(state.best_network, statistics), name)
+    said |= {"score": float(state.best_score), "step": int(state.best_step)}
+    save_world_model(model, out / "model", about=said)
+    return TrainResult(model, said["score"], said["step"], out / "model", metrics_file)
+
+
+def _run(
+    config: TrainConfig,
+    statistics: Any,
+    rows: tuple,
+    starts: dict[int, Any],
+    episodes_val: Episodes,
+    out: Path,
+    mesh: Mesh | None,
+    dtype: Any,
+    console: Console,
+    name: str,
+    about: dict[str, Any],
+) -> TrainState:
+    """Go from the latest save, or the beginning, to the last step; `config` is settled."""
+    sets = validation_sets(config, episodes_val)
+    with rundir.state_manager(out) as manager:
+        state = put(mesh, rundir.restore(manager, initial_state(config, dtype)))
+        step = int(state.step)
         # The static part alone goes into compiled calls: no weights live in it.
         model = LearnedWorldModel(config.model, Params(state.network, statistics), name)
-        with _progress(console) as progress:
-            bar = progress.add_task("train", total=config.steps, completed=int(state.step), note="compiling")
-            if int(state.step) == 0:
+        with Metrics(out, step or -1) as metrics, View(console, config.steps, step) as view:
+            if step == 0:
                 # Untrained, the model is its least-squares skip: what is published never scores worse than that.
-                line = {"step": 0} | validate(model, model.params, validation)
+                line = {"step": 0} | validate(model, model.params, sets)
                 state = _keep_best(state, line["score"])
-                _append(metrics, line)
-            while int(state.step) < config.steps:
-                step = int(state.step)
+                metrics.write(line)
+                view.update(line)
+            while step < config.steps:
                 depth = config.rollout_at(step)
                 network, optimizer, losses, norms = train_chunk(
                     config, model, state.network, state.optimizer, statistics, rows, starts[depth], state.step,
-                    depth=depth, count=config.chunk,
+                    depth=depth, count=config.chunk, mesh=mesh,
                 )  # fmt: skip
                 state = state._replace(step=state.step + config.chunk, network=network, optimizer=optimizer)
                 step = int(state.step)
-                line = {
-                    "step": step,
-                    "rollout": depth,
-                    "flow_loss": float(losses.flow.mean()),
-                    "decode_loss": float(losses.decode.mean()),
-                    "gradient_norm": float(norms.mean()),
-                }
-                if not np.isfinite(line["flow_loss"] + line["decode_loss"]):
+                terms = {f"{term}_loss": float(value.mean()) for term, value in losses._asdict().items()}
+                if not np.isfinite(sum(terms.values())):
                     raise FloatingPointError(f"the loss is not finite at step {step}; lower learning_rate")
+                line = {"step": step, "rollout": depth, **terms, "gradient_norm": float(norms.mean())}
                 save = step % config.save_every == 0 or step >= config.steps
                 if save:
-                    line |= validate(model, Params(network, statistics), validation)
+                    line |= validate(model, Params(network, statistics), sets)
                     state = _keep_best(state, line["score"])
-                _append(metrics, line)
+                    saved = LearnedWorldModel(config.model, Params(network, statistics), f"{name}, step {step}")
+                    told = about | {"score": line["score"], "step": step}
+                    rundir.keep_checkpoint(out, saved, step, config.keep_checkpoints, told)
+                metrics.write(line)
                 if save:
                     manager.save(step, args=ocp.args.StandardSave(state))
-                note = f"F={depth} flow {line['flow_loss']:.3f} decode {line['decode_loss']:.3f}"
-                best = float(state.best_score)
-                progress.update(bar, completed=step, note=note + (f" best {best:.3f}" if np.isfinite(best) else ""))
-    model = LearnedWorldModel(config.model, Params(state.best_network, statistics), name)
-    about = {
-        "score": float(state.best_score),
-        "step": int(state.best_step),
-        "train_steps": episodes_train.steps,
-        "parameters": sum(leaf.size for leaf in jax.tree.leaves(state.best_network)),
-        "run": fingerprint,
-    }
-    save_world_model(model, out / "model", about=about)
-    return TrainResult(model, about["score"], about["step"], out / "model", metrics)
-
-
-def validate(model: LearnedWorldModel, params: Params, windows: Windows) -> dict[str, float]:
-    """Score autoregressive, deterministic predictions against the measurements; lower is better."""
-    context = jnp.full(windows.observation.shape[0], model.history_length, jnp.int32)
-    _, error = window_errors(model, params, windows, context)
-    means = np.asarray(error, np.float64).mean(axis=(0, 1))
-    last = np.asarray(error[:, -1], np.float64).mean(axis=0)
-    return {
-        "score": float(np.sum(means / np.asarray(SCORE_UNITS))),
-        "val_position_m": float(last[0]),
-        "val_velocity_mps": float(last[1]),
-        "val_attitude_deg": float(np.rad2deg(last[2])),
-        "val_rate_degps": float(np.rad2deg(last[3])),
-    }
+                view.update(line)
+    return state
 
 
 def _keep_best(state: TrainState, score: float) -> TrainState:
@@ -173,9 +197,21 @@ def _keep_best(state: TrainState, score: float) -> TrainState:
         return state
     return state._replace(
         best_network=jax.tree.map(jnp.copy, state.network),
-        best_score=jnp.asarray(score, state.best_score.dtype),
+        best_score=jnp.full_like(state.best_score, score),
         best_step=state.step,
     )
+
+
+def _devices(wanted: int | None) -> int:
+    """How many local devices share a batch.
+
+    Raises:
+        ValueError: there are fewer than wanted.
+    """
+    there = jax.local_device_count()
+    if wanted is not None and wanted > there:
+        raise ValueError(f"devices must be at most {there}, the local devices, got {wanted}")
+    return wanted or there
 
 
 def _check_data(config: TrainConfig, train: Episodes, val: Episodes) -> None:
@@ -188,77 +224,3 @@ def _check_data(config: TrainConfig, train: Episodes, val: Episodes) -> None:
             episodes.starts(config.model.history_length + depth)
         except ValueError as error:
             raise ValueError(f"{role} episodes are too short for rollouts of {depth} steps: {error}") from None
-
-
-def _claim(out: Path, fingerprint: dict[str, Any]) -> None:
-    """Mark the directory as this run's, or refuse it."""
-    file = out / "run.json"
-    if file.exists():
-        try:
-            found = json.loads(file.read_text(encoding="utf-8"))
-            parts = [part for part in fingerprint if found.get(part) != fingerprint[part]]
-        except (ValueError, AttributeError) as error:
-            raise CheckpointError(f"{file} is damaged ({error}): delete {out} or choose another folder") from error
-        if parts:
-            raise ValueError(
-                f"{out} holds a run that differs in {', '.join(parts)}: delete it or choose another folder"
-            )
-        return
-    if (out / "state").exists() or (out / "model").exists():
-        raise CheckpointError(f"{out} holds a state or model without run.json: delete it or choose another folder")
-    fresh = out / "run.json.writing"
-    fresh.write_text(json.dumps(fingerprint, indent=1) + "\n", encoding="utf-8")
-    os.replace(fresh, file)
-
-
-def _restore(manager: ocp.CheckpointManager, state: TrainState) -> TrainState:
-    step = manager.latest_step()
-    if step is None:
-        return state
-    target = ocp.args.StandardRestore(jax.tree.map(ocp.utils.to_shape_dtype_struct, state))
-    try:
-        restored = manager.restore(step, args=target)
-    except Exception as error:  # what is raised for a damaged file is no part of orbax's interface
-        folder = manager.directory
-        raise CheckpointError(
-            f"{folder / str(step)} is damaged ({type(error).__name__}): delete {folder.parent} or choose another folder"
-        ) from error
-    # By way of NumPy: arrays that come committed to a device would have the training step compiled a second time.
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), restored)
-
-
-def _append(file: Path, line: dict[str, Any]) -> None:
-    with file.open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(line) + "\n")
-
-
-def _truncate(file: Path, step: int) -> None:
-    """Drop what was logged after the step that is resumed from, or everything for -1."""
-    if not file.exists():
-        return
-    kept = []
-    for text in file.read_text(encoding="utf-8").splitlines():
-        try:
-            if json.loads(text)["step"] <= step:
-                kept.append(text)
-        except (json.JSONDecodeError, KeyError):
-            break  # a line cut short by the kill
-    file.write_text("".join(text + "\n" for text in kept), encoding="utf-8")
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-        console=console,
-    )

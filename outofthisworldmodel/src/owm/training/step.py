@@ -3,12 +3,13 @@
 from functools import lru_cache, partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int, PyTree
 
-from owm.model.stream import Statistics
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.training.config import TrainConfig
 from owm.training.loss import Losses, draw, pick, window_losses
@@ -52,24 +53,41 @@ def initial_state(config: TrainConfig, dtype: jnp.dtype = jnp.float32) -> TrainS
     )
 
 
-@partial(jax.jit, static_argnames=("config", "model", "depth", "count"), donate_argnums=(2, 3))
+def batch_mesh(devices: int) -> Mesh | None:
+    """Return a mesh over the first local devices; None for one, which needs no mesh."""
+    if devices == 1:
+        return None
+    return jax.make_mesh((devices,), ("batch",), (AxisType.Auto,), devices=jax.local_devices()[:devices])
+
+
+def put(mesh: Mesh | None, tree: PyTree, *axes: str) -> PyTree:
+    """Copy a tree to every device of a mesh, or split its leaves' first axis over them with `axes` "batch"."""
+    return tree if mesh is None else jax.device_put(tree, NamedSharding(mesh, PartitionSpec(*axes)))
+
+
+@partial(
+    jax.jit,
+    static_argnames=("config", "model", "depth", "count", "mesh"),
+    donate_argnames=("network", "optimizer"),
+)
 def train_chunk(
     config: TrainConfig,
     model: LearnedWorldModel,
     network: Network,
     optimizer: PyTree,
-    statistics: Statistics,
+    statistics: PyTree,
     rows: tuple[Float[Array, "N 13"], Float[Array, "N 6"]],
     starts: Int[Array, "S"],
     step: Int[Array, ""],
     *,
     depth: int,
     count: int,
+    mesh: Mesh | None = None,
 ) -> tuple[Network, PyTree, Losses, Float[Array, " count"]]:
     """Make `count` steps at rollout length `depth`; return the losses and gradient norm of each.
 
     Args:
-        config: static.
+        config: static and settled: batch and steps are numbers.
         model: static; its configuration counts, its parameters do not.
         network: weights to change.
         optimizer: its state.
@@ -79,29 +97,51 @@ def train_chunk(
         step: number of the first step.
         depth: `F`.
         count: steps.
+        mesh: devices that share each batch, each with weights and data of its own; its size divides the batch.
     """
-    observation, action = rows
     history = model.history_length
     length = history + depth
 
-    def one_step(carry: tuple[Network, PyTree], step: Array) -> tuple[tuple[Network, PyTree], tuple[Losses, Array]]:
-        network, optimizer = carry
-        key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
-        draws = draw(key, config.batch, length - 1, depth, model.stream, observation.dtype)
-        index = starts[pick(draws.start, starts.shape[0])][:, None] + jnp.arange(length, dtype=jnp.int32)
-        # Half of all windows have the whole history, as nearly every prediction in flight does.
-        whole = jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0
-        context = jnp.where(whole, history, 1 + pick(draws.context, history))
-        teacher = jnp.clip(1.0 - step / max(config.teacher * config.steps, 1.0), 0.0, 1.0).astype(observation.dtype)
+    def mean_gradient(network, statistics, rows, first, context, teacher, draws) -> tuple[Network, Losses]:
+        """Gradient and losses, averaged over the windows that start at the rows `first`."""
+        observation, action = rows
+        index = first[:, None] + jnp.arange(length, dtype=jnp.int32)
 
         def objective(network: Network) -> tuple[Array, Losses]:
+            if config.precision == "bfloat16":
+                # All but the stream, whose carry adds up small steps.
+                low = jax.tree.map(lambda weight: weight.astype(jnp.bfloat16), network)
+                network = eqx.tree_at(lambda tree: tree.stream, low, network.stream)
             losses = jax.vmap(
                 lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d)
             )(observation[index], action[index[:, :-1]], context, draws)
             losses = jax.tree.map(jnp.mean, losses)
-            return config.flow_weight * losses.flow + config.decode_weight * losses.decode, losses
+            weighted = Losses(config.flow_weight, config.decode_weight, config.round_trip_weight)
+            return sum(jax.tree.map(jnp.multiply, weighted, losses)), losses
 
-        gradient, losses = jax.grad(objective, has_aux=True)(network)
+        return jax.grad(objective, has_aux=True)(network)
+
+    if mesh is not None:
+        here, whole = PartitionSpec("batch"), PartitionSpec()
+        mean_gradient = jax.shard_map(
+            lambda *args, local=mean_gradient: jax.lax.pmean(local(*args), "batch"),
+            mesh=mesh,
+            in_specs=(whole, whole, whole, here, here, whole, here),
+            out_specs=whole,
+            check_vma=False,
+        )
+
+    def one_step(carry: tuple[Network, PyTree], step: Array) -> tuple[tuple[Network, PyTree], tuple[Losses, Array]]:
+        network, optimizer = carry
+        dtype = rows[0].dtype
+        key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
+        draws = draw(key, config.batch, length - 1, depth, network.stream, dtype)
+        first = starts[pick(draws.start, starts.shape[0])]
+        # Half of all windows have the whole history, as nearly every prediction in flight does.
+        full = jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0
+        context = jnp.where(full, history, 1 + pick(draws.context, history))
+        teacher = jnp.clip(1.0 - step / max(config.teacher * config.steps, 1.0), 0.0, 1.0).astype(dtype)
+        gradient, losses = mean_gradient(network, statistics, rows, first, context, teacher, draws)
         updates, optimizer = make_optimizer(config).update(gradient, optimizer, network)
         return (optax.apply_updates(network, updates), optimizer), (losses, optax.tree.norm(gradient))
 

@@ -1,0 +1,189 @@
+"""The kinematic stream: a learned residual on analytic rigid-body kinematics, filtered from noisy measurements."""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from owm.data import Episodes
+from owm.model.config import ModelConfig
+from owm.model.kinematics import (
+    advance,
+    apply_inverse,
+    decode_penalty,
+    motion_error,
+    multiply,
+    rotation,
+    to_motion,
+    to_station,
+    to_view,
+)
+from owm.model.linear import LinearMap, fit_linear_map, linear_advance, linear_increment
+from owm.model.track import (
+    FilterStatistics,
+    Track,
+    correct,
+    displacement,
+    fit_filter,
+    follow,
+    innovation_scale,
+    next_gain,
+    observe,
+)
+from owm.model.transformer import Perceptron
+
+
+class Statistics(NamedTuple):
+    """What is measured on the training episodes once and held fixed.
+
+    Attributes:
+        linear: the least-squares map under the network.
+        filter: what measurements are filtered with.
+        action_scale: root mean square of each action component.
+        position_scale: root mean square of station-frame position, m.
+        velocity_scale: root mean square of velocity, m/s.
+        rate_scale: root mean square of body rate, rad/s.
+    """
+
+    linear: LinearMap
+    filter: FilterStatistics
+    action_scale: Float[Array, "6"]
+    position_scale: Float[Array, ""]
+    velocity_scale: Float[Array, ""]
+    rate_scale: Float[Array, ""]
+
+
+class KinematicStream(eqx.Module):
+    """A learned residual on analytic kinematics: one token, whose residual is the innovation of the next measurement.
+
+    The carry is a filtered motion relative to the pose at the start of the window, and what the filter knows of the
+    sensors. The network never sees that arbitrary frame: it gets velocity and rate in the body frame, on which thrust
+    and gyroscopic terms depend, and position, velocity and attitude in the station frame, on which orbital terms
+    depend. So nothing it sees grows with the distance from the anchor.
+
+    The residual is how far the next measurement is from the linear map's prediction, in the body frame and in units
+    of the filter's. A sample of it is a sample of the measurement, and moves the estimate as a measurement would:
+    sampled tracks are to the network what measured ones are, and their noise does not add up. Its expectation moves
+    velocity and rate alone, as increments of a step: position and attitude follow by kinematics.
+    """
+
+    encoder: Perceptron
+    token_count: ClassVar[int] = 1
+    residual_size: ClassVar[int] = 12
+    features: ClassVar[int] = 41
+
+    def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
+        self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
+
+    @staticmethod
+    def fit(episodes: Episodes) -> Statistics:
+        """Measure the statistics on training episodes."""
+        linear = fit_linear_map(episodes)
+
+        def size(x: np.ndarray, axis: int | None = None) -> Array:
+            mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
+            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.observation.dtype)
+
+        view = episodes.observation
+        return Statistics(
+            linear,
+            fit_filter(episodes, linear),
+            size(episodes.action, 0),
+            size(view[:, :3]),
+            size(view[:, 3:6]),
+            size(view[:, 10:]),
+        )
+
+    @staticmethod
+    def skeleton(dtype: jnp.dtype) -> Statistics:
+        """Return the shapes of the statistics."""
+
+        def shapes(*sizes: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
+            return [jax.ShapeDtypeStruct(size, dtype) for size in sizes]
+
+        return Statistics(
+            LinearMap.skeleton(dtype), FilterStatistics(*shapes((4,), (4,), (12,))), *shapes((6,), (), (), ())
+        )
+
+    def follow(
+        self,
+        statistics: Statistics,
+        observation: Float[Array, "T 13"],
+        action: Float[Array, "T-1 6"],
+        valid: Bool[Array, "T"],
+        dt: float,
+    ) -> Track:
+        """Return the tracks at all measurements of a window, stacked."""
+        return follow(statistics.filter, statistics.linear, observation, action, valid, dt)
+
+    def observe(
+        self, statistics: Statistics, track: Track, action: Float[Array, "6"], view: Float[Array, "13"], dt: float
+    ) -> Track:
+        """Return the track after an action and the measurement that followed it."""
+        return observe(statistics.filter, statistics.linear, track, action, view, dt)
+
+    def tokens(self, statistics: Statistics, track: Track) -> Float[Array, "1 d"]:
+        """Return the token of a track."""
+        return self.encoder(self.inputs(statistics, track))
+
+    @staticmethod
+    def inputs(statistics: Statistics, track: Track) -> Float[Array, "1 41"]:
+        """Return what the token is made of, each of order one and blind to the sign of q."""
+        motion = track.motion
+        position, velocity, _ = to_station(motion)
+        turn = rotation(multiply(motion.anchor[3:], motion.attitude))
+        body_velocity = apply_inverse(turn, velocity)
+        return jnp.concatenate(
+            [
+                body_velocity / statistics.velocity_scale,
+                motion.rate / statistics.rate_scale,
+                velocity / statistics.velocity_scale,
+                position / statistics.position_scale,
+                turn.reshape(9),
+                # Bounded, for sensors unlike any of the training episodes.
+                5.0 * jnp.tanh(track.innovation / 5.0),
+                jnp.tanh(0.25 * jnp.log(track.noise / statistics.filter.noise)),
+                next_gain(statistics.filter, track),
+            ]
+        )[None]
+
+    def target(
+        self, statistics: Statistics, before: Track, after: Track, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, "1 12"]:
+        """Return the unit-variance residual that leads from a track to the view of the next one."""
+        predicted = linear_advance(statistics.linear, before.motion, action, dt)
+        return (displacement(predicted, after.view) / innovation_scale(statistics.filter, before))[None]
+
+    def advance(
+        self,
+        statistics: Statistics,
+        track: Track,
+        residual: Float[Array, "1 12"],
+        action: Float[Array, "6"],
+        dt: float,
+        *,
+        sampled: bool,
+    ) -> Track:
+        """Advance the track by one step under a sampled (or measured) residual, or under the expected one."""
+        if sampled:
+            predicted = linear_advance(statistics.linear, track.motion, action, dt)
+            return correct(statistics.filter, track, predicted, residual[0])
+        increment, drift = linear_increment(statistics.linear, track.motion, action)
+        away = innovation_scale(statistics.filter, track) * residual[0]
+        motion = advance(track.motion, increment + jnp.concatenate([away[3:6], away[9:]]), dt, drift)
+        return track._replace(motion=motion, view=motion, innovation=jnp.zeros_like(track.innovation))
+
+    def decode(self, statistics: Statistics, track: Track) -> dict[str, Array]:
+        """Read out what the sensors show."""
+        return {"state": to_view(track.view)}
+
+    def decode_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Compare a prediction with a measurement."""
+        return decode_penalty(motion_error(track.view, to_motion(view, track.view.anchor)))
+
+    def round_trip_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Return zero: nothing is lost on the way from view to track and back."""
+        return jnp.zeros((), view.dtype)

@@ -1,0 +1,49 @@
+"""What is trained on and what is set aside, of one dataset and of several."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from owm import recordings
+from owm.recordings import corpus_facts, training_episodes
+from owm_envs.config import load_config
+from owm_envs.datasets.generate import Request, generate
+
+
+@pytest.fixture(scope="module")
+def corpora(tmp_path_factory):
+    """Two tiny datasets of one environment with other noise."""
+    folder = tmp_path_factory.mktemp("corpora")
+    for number, noise in enumerate(("cooperative", "none")):
+        config = load_config(fidelity="iss", noise=noise, horizon=4.0)
+        generate(folder / noise, config, Request(1900, 200, number, 0.5, 24))
+    return folder / "cooperative", folder / "none"
+
+
+def test_every_policy_is_judged_on_flights_set_aside(corpora):
+    train, val = training_episodes(corpora[0], phases=1)
+    recorded = Counter(episode.policy_name for episode in recordings.read_recordings(corpora[0], "train"))
+    aside = {name: count - Counter(train.policies)[name] for name, count in recorded.items()}
+    assert recorded["excite"] >= 8
+    assert aside == {name: count // 8 if count >= 8 else int(count >= 3) for name, count in recorded.items()}
+    assert Counter(val.policies)["excite"] == aside["excite"]
+    seen = {row.tobytes() for row in train.observation}
+    assert not any(row.tobytes() in seen for row in val.observation)
+
+
+def test_several_corpora_are_pooled_and_no_window_crosses_from_one_to_the_other(corpora):
+    one, other = (training_episodes(path, phases=2)[0] for path in corpora)
+    both, _ = training_episodes(corpora, phases=2)
+    assert len(both) == len(one) + len(other) and both.steps == one.steps + other.steps
+    rows = both.starts(9)
+    assert len(rows) == len(one.starts(9)) + len(other.starts(9))
+    np.testing.assert_array_equal(both.episode[rows], both.episode[rows + 8])
+    np.testing.assert_array_equal(both.observation, np.concatenate([one.observation, other.observation]))
+
+
+def test_a_corpus_tells_its_facts(corpora, tmp_path):
+    facts = corpus_facts(corpora[0])
+    assert facts["name"] == "cooperative" and facts["fidelity"] == "iss" and facts["dt"] == 0.05
+    assert facts["noise"]["position"] == 0.05
+    assert corpus_facts(tmp_path / "published") == {"name": "published"}
