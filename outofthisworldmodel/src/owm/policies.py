@@ -42,12 +42,13 @@ GIVEN: dict[str, Given] = {
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
+    "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
 }
 """Keyed by `kind_of` a policy."""
-SCRIPTED = ("dock", "dock-geodesic", "random", "orbit", "excite")
+SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
 NAMES = (*SCRIPTED, "oracle-mppi")
 """What `load_policy` knows beside paths."""
 _KINDS = {"learned": "world model", "least_squares": "least-squares"}
