@@ -25,7 +25,7 @@ def fly(
     """Fly a policy to a docking port and print how it went.
 
     Args:
-        policy: dock, dock-geodesic, random, orbit, oracle-mppi, or the folder of a checkpoint.
+        policy: dock, dock-geodesic, random, orbit, oracle-mppi, the folder of a checkpoint, or user/name on the hub.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.
@@ -144,6 +144,33 @@ def _train(preset: str):
     return train
 
 
+def _train_ppo(preset: str):
+    """The `train-ppo` command, its flags those of a preset."""
+    from owm.ppo.config import PRESETS, PPOConfig
+
+    start_from = preset if preset in PRESETS else "paper"
+
+    def train_ppo(
+        out: Path,
+        preset: Literal["paper", "ci"] = start_from,
+        config: Annotated[PPOConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+    ) -> None:
+        """Train the PPO baseline in Stable-Baselines3; a killed run is resumed by the same command.
+
+        Args:
+            out: Folder for policy, state, metrics and learning curve.
+            preset: Named configuration that the other flags change.
+            config: The run.
+        """
+        del preset
+        _compilation_cache()
+        from owm.commands import train_ppo as run
+
+        run(out, config)
+
+    return train_ppo
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; a user's mistake ends with exit code 2 and one line that says what it is."""
     tolerant_output()
@@ -157,6 +184,7 @@ def main(arguments: list[str] | None = None) -> None:
         app.command(fly)
         app.command(evaluate)
         app.command(_train(_option(arguments, "--preset")), name="train")
+        app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
         app.command(demo)
     try:
         app.cli(prog=prog, description=description, args=arguments)

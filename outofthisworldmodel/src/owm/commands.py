@@ -18,6 +18,7 @@ from owm.evaluation.tables import docking_table, port_table, prediction_table
 from owm.files import write_atomically
 from owm.planning.config import PlannerConfig
 from owm.policies import kind_of, load_model, load_policy
+from owm.ppo.config import PPOConfig
 from owm.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
@@ -38,6 +39,23 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig) -> None:
     about = {"corpus": [corpus_facts(path) for path in data]}
     result = run(config, episodes, val, out, console=console, about=about)
     print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")
+
+
+def train_ppo(out: Path, config: PPOConfig) -> None:
+    """Train the PPO baseline.
+
+    Raises:
+        ValueError: Stable-Baselines3 is missing, or `out` holds another run.
+    """
+    try:
+        import stable_baselines3  # noqa: F401
+    except ImportError as error:
+        raise ValueError(f"train-ppo needs ({error}): pip install 'outofthisworldmodel[ppo]'") from error
+    from owm.ppo.train import train_ppo as run
+
+    announce("compiling the simulator ...")
+    last = run(config, out, console)
+    print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
 
 
 def fly(
