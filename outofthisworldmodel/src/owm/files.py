@@ -1,6 +1,7 @@
 """Files and folders that are either whole or not there."""
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -39,3 +40,8 @@ def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> No
         path.rename(old)
     fresh.rename(path)
     shutil.rmtree(old, ignore_errors=True)
+
+
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"

@@ -39,6 +39,7 @@ _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "constant velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
     "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
@@ -53,7 +54,12 @@ GIVEN: dict[str, Given] = {
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
 NAMES = (*SCRIPTED, "oracle-mppi")
 """What `load_policy` knows beside paths."""
-_KINDS = {"learned": "world model", "least_squares": "least-squares"}
+_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant velocity"}
+
+
+def is_planned(kind: str) -> bool:
+    """Whether a kind of policy is a world model in the planner."""
+    return kind == "oracle-mppi" or kind in _KINDS.values()
 
 
 def kind_of(policy: str) -> str:
@@ -93,7 +99,9 @@ def _checkpoint(path: str) -> Path:
     return next((part for part in inside if (part / "config.json").is_file()), folder)
 
 
-def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None) -> Any:
+def load_policy(
+    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None, field: Any = None
+) -> Any:
     """Build a policy for a batch of slots.
 
     Args:
@@ -103,6 +111,7 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
         num_slots: flights side by side.
         seed: decides the policy's own draws.
         planner: a `PlannerConfig` for planned policies; the standard one when None.
+        field: the `GeodesicField` for policies that use one; the station's own when None.
 
     Returns:
         A policy as `owm.evaluation.docking.Policy` describes it, with a `name`.
@@ -117,19 +126,21 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
 
     env = DockingEnv(config)
     if kind in SCRIPTED:
-        return VectorPolicy(make_policy(kind, env), seed=seed)
+        return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
     from owm_envs.geodesic import load_field
 
     name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
+    if field is None and kind != "ppo":
+        field = load_field()
     if kind in ("ppo", "ppo-field"):
         from owm.ppo.policy import PPOPolicy
 
-        flown = PPOPolicy(_checkpoint(policy), config, num_slots, load_field() if kind == "ppo-field" else None)
+        flown = PPOPolicy(_checkpoint(policy), config, num_slots, field if kind == "ppo-field" else None)
         flown.name = name
         return flown
     from owm.planning.policy import PlannerPolicy
 
-    made = PlannerPolicy(load_model(policy, config), load_field(), env, planner, num_slots, seed)
+    made = PlannerPolicy(load_model(policy, config), field, env, planner, num_slots, seed)
     made.name = name
     return made
 

@@ -10,10 +10,11 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
-from owm.evaluation.flights import TOLERANCES, Flights, rate, succeeded
+from owm.evaluation.flights import TOLERANCES, Flights, speed_by_range, succeeded
 from owm.evaluation.prediction import PredictionError
+from owm.evaluation.statistics import rate
 from owm.files import write_atomically
-from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes
+from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, PORTS, TRAIN_PORTS, goal_poses, hull_boxes
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444", "#8A6FBF")
 """Colours that the colour-blind can tell apart."""
@@ -220,7 +221,65 @@ def tolerance_figure(flights: Sequence[Flights]) -> Figure:
         _tidy(axes)
     panels[0].set_ylabel("flights without collision [%]")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    return figure
+
+
+def port_figure(flights: Sequence[Flights], quoted: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
+    """Collision-free flights within 1 m by port with Wilson intervals, and quoted percentages as marks.
+
+    Args:
+        flights: of each policy.
+        quoted: name to percent by port, of others.
+    """
+    figure = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    order = [*TRAIN_PORTS, *HELD_OUT_PORTS]
+    width = 0.84 / len(flights)
+    for n, each in enumerate(flights):
+        names = np.array(PORT_NAMES)[each.port]
+        numbers = [rate(succeeded(each.select(names == port), 1.0)) for port in order]
+        shares = np.array([100 * x["rate"] if x["total"] else np.nan for x in numbers])
+        errors = np.abs(np.array([[100 * x["low"], 100 * x["high"]] for x in numbers]).T - shares)
+        place = np.arange(len(order)) + (n - (len(flights) - 1) / 2) * width
+        color = PALETTE[n % len(PALETTE)]
+        axes.bar(place, shares, width * 0.9, color=color, label=each.policy, zorder=2)
+        axes.errorbar(place, shares, errors, fmt="none", ecolor=_INK, elinewidth=0.7, capsize=1.5, zorder=3)
+    for (name, values), mark in zip((quoted or {}).items(), "D^s"):
+        places = [i for i, port in enumerate(order) if port in values]
+        axes.plot(places, [values[order[i]] for i in places], mark, ms=8, mfc="white", mec="#a01818", mew=1.6,
+                  label=name, zorder=4)  # fmt: skip
+    axes.axvline(len(TRAIN_PORTS) - 0.5, color=_FAINT, lw=1, ls="--")
+    axes.text(len(TRAIN_PORTS) - 0.45, 108, "held out", fontsize=9, color=_INK)
+    axes.set_xticks(range(len(order)), [port.replace("_", " ") for port in order])
+    axes.set(ylim=(0, 115), ylabel="within 1 m, no collision [%]")
+    _tidy(axes)
+    axes.grid(visible=False, axis="x")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    return figure
+
+
+def speed_figure(flights: Sequence[Flights]) -> Figure:
+    """Speed against range to the hold pose: medians, and the middle four fifths as bands."""
+    figure = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    edges = np.geomspace(0.1, 300.0, 36)
+    for n, each in enumerate(flights):
+        rows = [row for row in speed_by_range(each, edges) if row["count"] >= 10]
+        middle = [np.sqrt(row["from"] * row["to"]) for row in rows]
+        color = PALETTE[n % len(PALETTE)]
+        axes.plot(middle, [row["p50"] for row in rows], color=color, lw=_nested(n)["lw"], label=each.policy)
+        low, high = ([row[key] for row in rows] for key in ("p10", "p90"))
+        axes.fill_between(middle, low, high, color=color, alpha=0.12, lw=0)
+    axes.axhspan(0.05, 0.10, color=_FAINT, alpha=0.25, lw=0, zorder=0)
+    axes.text(0.105, 0.066, "closing speed of the docking standard", fontsize=8, color=_INK)
+    axes.set(xscale="log", yscale="log", xlabel="range to the hold pose [m]", ylabel="speed [m/s]")
+    axes.set_xlim(0.1, 300)
+    axes.invert_xaxis()
+    _tidy(axes)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
     return figure
 
 
