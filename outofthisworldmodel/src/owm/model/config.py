@@ -53,7 +53,9 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
-    "paper": ModelConfig(width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2),
+    "paper": ModelConfig(
+        width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2, head="flow"
+    ),
 }
 """Named sizes; `nano` trains on a laptop, `paper` has the widths of the publication."""
 
