@@ -27,6 +27,7 @@ class Condition:
     shell: str = "100-225"
     noise: str = "cooperative"
     """What policies that know a noise model are told."""
+    fidelity: str = "iss-numerical"
     hidden: dict[str, Any] = field(default_factory=dict)
     """Fields of the environment that policies are not told: they are built for the nominal one."""
     map: Callable[[Boxes], Boxes] | None = None
@@ -34,7 +35,7 @@ class Condition:
 
     def told(self) -> DockingConfig:
         """The environment that policies are built for."""
-        return evaluation_config(self.shell, noise=self.noise)
+        return evaluation_config(self.shell, noise=self.noise, fidelity=self.fidelity)
 
     def flown(self) -> DockingConfig:
         """The environment that they fly."""
