@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.model.hub import is_repository, local_folder
+from owm.model.hub import PRETRAINED, is_repository, local_folder
 from owm_envs.config import DockingConfig
 
 
@@ -66,7 +66,7 @@ def kind_of(policy: str) -> str:
         return policy
     if policy == "least-squares":
         raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
-    if os.path.exists(policy) or is_repository(policy):
+    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
         header = _checkpoint(policy) / "config.json"
         try:
             found = json.loads(header.read_text(encoding="utf-8"))
