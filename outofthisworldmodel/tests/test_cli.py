@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -146,7 +147,7 @@ def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd)
 
 
 def test_models_are_found_by_name_and_by_folder(tmp_path):
-    linear = LinearMap(*(jnp.zeros(shape, jnp.float32) for shape in ((6, 6), (6,), (3, 6))))
+    linear = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), LinearMap.skeleton(jnp.float32))
     save_world_model(LeastSquares(linear), tmp_path / "run" / "model")
     config = evaluation_config(fidelity="iss", precision="float32")
     for folder in (tmp_path / "run", tmp_path / "run" / "model"):

@@ -97,6 +97,13 @@ def evaluate_prediction(
     run(models, data, split=split, windows=windows, seed=seed, out=out)
 
 
+def presets() -> None:
+    """Print what `owm train --preset` knows: models, their sizes and numbers of parameters."""
+    from owm.commands import presets as run
+
+    run()
+
+
 def demo(
     scale: Literal["full", "ci"] = "full", out: Path = Path("runs/demo"), seed: int = 0, fresh: bool = False
 ) -> None:
@@ -186,6 +193,7 @@ def main(arguments: list[str] | None = None) -> None:
         app.command(evaluate)
         app.command(_train(_option(arguments, "--preset")), name="train")
         app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
+        app.command(presets)
         app.command(demo)
     try:
         app.cli(prog=prog, description=description, args=arguments)

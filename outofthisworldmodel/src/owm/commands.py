@@ -58,6 +58,20 @@ def train_ppo(out: Path, config: PPOConfig) -> None:
     print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
 
 
+def presets() -> None:
+    """Print the training presets: their model, its trained parameters by part, and how they train."""
+    from owm.model.world_model import parameter_counts
+    from owm.training.config import PRESETS
+
+    rows = []
+    for name, config in PRESETS.items():
+        model, counts = config.model, parameter_counts(config.model)
+        size = f"{model.width} x {model.blocks}, {model.heads} heads, window {model.window}"
+        parts = ", ".join(f"{part.replace('_', ' ')} {count:,}" for part, count in counts.items())
+        rows.append([name, model.stream, size, f"{sum(counts.values()):,}", parts])
+    print_table(Table(["preset", "stream", "width x blocks", "parameters", "of which"], rows), "training presets")
+
+
 def fly(
     policy: str,
     port: str,

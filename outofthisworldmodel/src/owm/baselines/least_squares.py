@@ -12,7 +12,7 @@ from owm.model.linear import LinearMap, fit_linear_map, linear_advance
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Increments linear in the action (body frame) and, if fitted, in position and velocity (station frame)."""
+    """Increments linear in the action and, if fitted, in position, velocity and products of body rates."""
 
     params: LinearMap = field(compare=False, repr=False)
     history_length: int = 8
@@ -38,13 +38,14 @@ class LeastSquares:
         return {"state": to_view(state)}
 
 
-def fit_least_squares(episodes: Episodes, *, station: bool = True, history_length: int = 8) -> LeastSquares:
+def fit_least_squares(episodes: Episodes, *, motion: bool = True, history_length: int = 8) -> LeastSquares:
     """Fit the baseline to training episodes.
 
     Args:
         episodes: measured transitions; the truth is not used.
-        station: fit orbital terms too, as the skip under the network does; otherwise the action's effect alone.
+        motion: fit orbital and gyroscopic terms too, as the skip under the network does; otherwise the action's effect
+            alone.
         history_length: `H` to report, so that it takes the same histories as the model beside it.
     """
-    name = "least squares" if station else "least squares, action only"
-    return LeastSquares(fit_linear_map(episodes, station=station), history_length, episodes.dt, name)
+    name = "least squares" if motion else "least squares, action only"
+    return LeastSquares(fit_linear_map(episodes, motion=motion), history_length, episodes.dt, name)

@@ -14,7 +14,8 @@ from owm.model.interface import History, WorldModel
 from owm.model.kinematics import view_error
 
 QUANTITIES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
-_UNITS = (1.0, 1.0, 180.0 / np.pi, 180.0 / np.pi)
+UNITS = np.array([1.0, 1.0, 180.0 / np.pi, 180.0 / np.pi])
+"""What SI figures are multiplied by."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,14 @@ def window_errors(
     return jax.vmap(one)(windows, context)
 
 
+def check_windows(windows: Windows, length: int) -> int:
+    """Return how many windows there are; raise ValueError if there is none or they have fewer than `length` views."""
+    count, views = windows.observation.shape[:2]
+    if count == 0 or views < length:
+        raise ValueError(f"need at least one window of {length} views, got {count} of {views}")
+    return count
+
+
 def prediction_error(
     model: WorldModel,
     windows: Windows,
@@ -97,9 +106,7 @@ def prediction_error(
         ValueError: if the windows are too short or there are none.
     """
     length = model.history_length + max(horizons)
-    count, views = windows.observation.shape[:2]
-    if count == 0 or views < length:
-        raise ValueError(f"need at least one window of {length} views, got {count} of {views}")
+    count = check_windows(windows, length)
     context = model.history_length if context is None else context
     if not 1 <= context <= model.history_length:
         raise ValueError(f"context must be 1 to {model.history_length}, got {context}")
@@ -115,5 +122,5 @@ def prediction_error(
         )
         error, _ = window_errors(model, model.params, part, jnp.full(batch, context, jnp.int32))
         parts.append(np.asarray(error)[: count - first])
-    error = np.concatenate(parts)[:, np.asarray(horizons) - 1] * np.asarray(_UNITS)
+    error = np.concatenate(parts)[:, np.asarray(horizons) - 1] * UNITS
     return PredictionError(model.name, tuple(horizons), model.dt, error)

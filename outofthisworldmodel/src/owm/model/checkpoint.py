@@ -25,7 +25,7 @@ from owm.model.linear import LinearMap
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever older files would be read wrongly."""
 FILES = ("weights.safetensors", "statistics.json")
 
@@ -117,9 +117,7 @@ def _build(kind: str, header: dict, tensors: dict, numbers: dict, expect: ModelC
     if kind == "constant_velocity":
         return ConstantVelocity(**config, name=name)
     if kind == "least_squares":
-        shapes = {"action": (6, 6), "bias": (6,), "station": (3, 6)}
-        skeleton = LinearMap(**{k: jax.ShapeDtypeStruct(v, tensors["action"].dtype) for k, v in shapes.items()})
-        return LeastSquares(_fill(skeleton, tensors), **config, name=name)
+        return LeastSquares(_fill(LinearMap.skeleton(tensors["action"].dtype), tensors), **config, name=name)
     if kind != "learned":
         raise CheckpointError(f"unknown kind {kind!r}, expected learned, least_squares or constant_velocity")
     config = ModelConfig.model_validate(config)

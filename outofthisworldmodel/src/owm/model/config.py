@@ -10,8 +10,10 @@ class ModelConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    stream: Literal["kinematic"] = "kinematic"
-    """How observations become tokens and tokens become predictions."""
+    stream: Literal["kinematic", "latent"] = "kinematic"
+    """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
+    skip: Literal["bilinear", "none"] = "bilinear"
+    """What the latent stream adds to the network's prediction: a least-squares map of its features, or nothing."""
     dt: PositiveFloat = 0.25
     """Seconds a step."""
     history_length: PositiveInt = 8
@@ -30,11 +32,18 @@ class ModelConfig(BaseModel):
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
+    head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
+    """What the head learns: the plain rectified flow by its clean end or by its velocity, or a mean flow, whose single
+    evaluations are samples (`FlowHead`)."""
+    head_steps: PositiveInt = 1
+    """Evaluations of the head that a sample takes."""
 
     @model_validator(mode="after")
     def _check(self) -> "ModelConfig":
         if self.width % self.heads or (self.width // self.heads) % 2:
             raise ValueError(f"width must be an even multiple of heads, got width={self.width}, heads={self.heads}")
+        if self.stream == "latent" and self.width < 10:
+            raise ValueError(f"width must be at least 10 for the latent stream, got {self.width}")
         if self.head_width > self.width:
             raise ValueError(f"head_width must not exceed width={self.width}, got {self.head_width}")
         return self
@@ -43,9 +52,20 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
-    "paper": ModelConfig(width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2),
+    "paper": ModelConfig(
+        stream="latent",
+        skip="none",
+        width=128,
+        blocks=4,
+        heads=8,
+        window=32,
+        mlp_ratio=4,
+        head_width=128,
+        head_blocks=2,
+        head="velocity",
+    ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the widths of the publication."""
+"""Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""
 
 
 def preset(name: str) -> ModelConfig:

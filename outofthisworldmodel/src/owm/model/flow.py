@@ -1,4 +1,4 @@
-"""The flow-matching head: what a token will change by, given the backbone's output for it."""
+"""The flow head: what a token will change by, as a distribution, given the backbone's output for it."""
 
 import equinox as eqx
 import jax
@@ -8,47 +8,106 @@ from jaxtyping import Array, Float, Key
 from owm.model.config import ModelConfig
 from owm.model.transformer import Linear, Norm, Perceptron
 
+SAME_LEVEL = 0.6
+"""Share of mean-flow draws with both levels equal, which train the instantaneous flow that the others rest on."""
+
 
 class FlowHead(eqx.Module):
-    """Predicts the clean, unit-variance residual from a noised one (`x0`-parameterisation), token by token.
+    """Carries a noised, unit-variance residual along a flow towards the clean one, token by token.
 
-    On the straight path `x_tau = (1 - tau) x + tau eps` the head is trained with an unweighted square loss on `x`; the
-    flow's velocity follows as `(x_tau - x) / tau`. At 4 Hz the residual is small against its noise, and predicting the
-    velocity instead would leak that noise into a rollout.
+    On the straight path `x_tau = (1 - tau) x + tau eps` let `u` be the average velocity with which the flow leads from
+    level `tau` to an earlier level `until`. The head predicts `X = x_tau - tau u`, which is
 
-    **What one step from pure noise gives**: at `tau = 1` the input says nothing about `x`, so the trained head returns
-    the conditional mean, whatever `eps` is. Samples drawn with a key differ only by what the head has failed to
-    unlearn; their spread is not calibrated and shrinks with training.
+    - for `until = tau` the expected clean residual given `x_tau`: at `tau = 1`, where `x_tau` is pure noise, the
+      conditional mean, which is the deterministic prediction;
+    - for `until = 0` the end of the flow: at `tau = 1` a sample of the residual, in one evaluation.
 
-    Source: rectified flow, Liu et al. (2023); the residual formulation of the paper, its eq. for the flow loss.
+    The plain rectified flow ("flow", or "velocity" as published) learns the first only. One step from noise then
+    returns the conditional mean whatever `eps` is, and what spread remains is what the head has failed to unlearn.
+    The mean flow learns both from the identity between average and instantaneous velocity.
+
+    Predicting `X` rather than a velocity keeps the noise out of a rollout, since residuals are small at 4 Hz. The
+    output is an offset and a gain on `x_tau`, so that noise whose size depends on the context costs little width.
+
+    Source: Liu et al. (2023), rectified flow; Geng et al. (2025), Mean flows for one-step generative modeling, eq. 6.
     """
 
     join: Linear
     norms: tuple[Norm, ...]
     layers: tuple[Perceptron, ...]
     out: Linear
+    residual: int = eqx.field(static=True)
+    plain: bool = eqx.field(static=True)
+    velocity: bool = eqx.field(static=True)
 
     def __init__(self, config: ModelConfig, residual: int, dtype: jnp.dtype, *, key: Key[Array, ""]):
         k_join, k_out, *k_layers = jax.random.split(key, 2 + config.head_blocks)
         width = config.head_width
-        self.join = Linear(config.width + residual + 2, width, dtype, key=k_join)
+        self.join = Linear(config.width + residual + 4, width, dtype, key=k_join)
         self.norms = tuple(Norm(width, dtype) for _ in k_layers)
         self.layers = tuple(Perceptron(width, 2 * width, width, dtype, key=k) for k in k_layers)
         # Zero at first: an untrained model predicts what its analytic and linear parts predict.
-        self.out = Linear(width, residual, dtype, key=k_out, scale=0.0)
+        self.out = Linear(width, 2 * residual, dtype, key=k_out, scale=0.0)
+        self.residual = residual
+        self.plain = config.head != "mean-flow"
+        self.velocity = config.head == "velocity"
 
     def __call__(
-        self, noised: Float[Array, "n r"], tau: Float[Array, ""], context: Float[Array, "n d"]
+        self, noised: Float[Array, "n r"], tau: Float[Array, ""], until: Float[Array, ""], context: Float[Array, "n d"]
     ) -> Float[Array, "n r"]:
-        """Return the expected clean residual given the noised one at noise level `tau` and the backbone's output."""
-        level = jnp.broadcast_to(jnp.stack([tau, tau * tau]), (*noised.shape[:-1], 2)).astype(noised.dtype)
-        x = self.join(jnp.concatenate([context, noised, level], axis=-1))
+        """Return `X` of a residual noised to level `tau`, given the backbone's output."""
+        levels = jnp.stack([tau, tau * tau, until, until * until]).astype(noised.dtype)
+        levels = jnp.broadcast_to(levels, (*noised.shape[:-1], 4))
+        x = self.join(jnp.concatenate([context, noised, levels], axis=-1))
         for norm, layer in zip(self.norms, self.layers, strict=True):
             x = x + layer(norm(x))
-        return self.out(jax.nn.silu(x))
+        offset, gain = jnp.split(self.out(jax.nn.silu(x)), 2, axis=-1)
+        out = offset + gain * noised
+        return noised - tau * out if self.velocity else out
 
-    def sample(self, key: Key[Array, ""] | None, context: Float[Array, "n d"], residual: int) -> Float[Array, "n r"]:
-        """Draw a residual in one step from noise; `key=None` starts from zero noise and is deterministic."""
-        shape = (*context.shape[:-1], residual)
-        noise = jnp.zeros(shape, context.dtype) if key is None else jax.random.normal(key, shape, context.dtype)
-        return self(noise, jnp.ones((), context.dtype), context)
+    def mean(self, context: Float[Array, "n d"]) -> Float[Array, "n r"]:
+        """Return the expected residual."""
+        one = jnp.ones((), context.dtype)
+        return self(jnp.zeros((*context.shape[:-1], self.residual), context.dtype), one, one, context)
+
+    def sample(self, key: Key[Array, ""], context: Float[Array, "n d"], steps: int = 1) -> Float[Array, "n r"]:
+        """Draw a residual in `steps` evaluations, evenly spaced from noise to residual."""
+        x = jax.random.normal(key, (*context.shape[:-1], self.residual), context.dtype)
+        for i in range(steps):
+            tau, until = (jnp.asarray(1.0 - j / steps, context.dtype) for j in (i, i + 1))
+            clean = self(x, tau, tau if self.plain else until, context)
+            x = x + (tau - until) / tau * (clean - x)
+        return x
+
+    def loss(
+        self,
+        residual: Float[Array, "n r"],
+        context: Float[Array, "n d"],
+        level: Float[Array, "3"],
+        noise: Float[Array, "n r"],
+    ) -> Float[Array, ""]:
+        """Return the square error of `X` against its target on one measured residual.
+
+        With `v = eps - x` the identity `u = v - (tau - until) du/dtau` along the path reads, in terms of `X`,
+        `X = until / tau x + (1 - until / tau) X - (tau - until) dX/dtau`; the right-hand side is the target and
+        held fixed. For `until = tau` it is `x`: the plain flow's loss.
+
+        Args:
+            residual: of unit variance.
+            context: the backbone's output.
+            level: uniform on [0, 1): two levels, and what decides whether they are to be equal.
+            noise: standard normal.
+        """
+        tau = level[0] if self.plain else jnp.maximum(level[0], level[1])
+        noised = (1.0 - tau) * residual + tau * noise
+        if self.plain:
+            error = self(noised, tau, tau, context) - residual
+            # The error of the velocity, (X - x) / tau: the publication's loss.
+            return jnp.mean((error / jnp.maximum(tau, 1e-3) if self.velocity else error) ** 2)
+        until = jnp.where(level[2] < SAME_LEVEL, tau, jnp.minimum(level[0], level[1]))
+        clean, change = jax.jvp(
+            lambda x, tau: self(x, tau, until, context), (noised, tau), (noise - residual, jnp.ones_like(tau))
+        )
+        part = until / jnp.maximum(tau, 1e-6)
+        target = part * residual + (1.0 - part) * clean - (tau - until) * change
+        return jnp.mean((clean - jax.lax.stop_gradient(target)) ** 2)

@@ -5,6 +5,7 @@ Quaternions are scalar first and unit, `q_ab` turns vectors of frame `b` into fr
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -34,6 +35,20 @@ def multiply(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
 def rotation(q: Float[Array, "4"]) -> Float[Array, "3 3"]:
     """Return the rotation matrix of a unit quaternion, the same for `q` and `-q`."""
     return jnp.sum(jnp.asarray(_ROTATION, q.dtype) * (q[:, None] * q[None, :]), axis=(2, 3))
+
+
+def quaternion(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
+    """Return the unit quaternion, of either sign, of the rotation nearest to a matrix that nearly is one.
+
+    It is the dominant eigenvector of Davenport's matrix; the best row of its fourth power will do.
+    Source: Markley and Crassidis (2014), Fundamentals of spacecraft attitude determination and control, sec. 5.3.
+    """
+    davenport = jnp.sum(jnp.asarray(_ROTATION, matrix.dtype) * matrix[:, :, None, None], axis=(0, 1))
+    power = 0.25 * (0.5 * (davenport + davenport.T) + jnp.eye(4, dtype=matrix.dtype))
+    for _ in range(2):
+        power = jnp.sum(power[:, :, None] * power[None, :, :], axis=1)
+    row = power[jnp.argmax(jnp.diagonal(power))]
+    return row * jax.lax.rsqrt(jnp.sum(row**2) + 1e-30)
 
 
 def apply(matrix: Float[Array, "i j"], vector: Float[Array, "j"]) -> Float[Array, "i"]:
@@ -160,3 +175,12 @@ def motion_error(predicted: Motion, actual: Motion) -> Float[Array, "4"]:
             jnp.sum((predicted.rate - actual.rate) ** 2),
         ]
     )
+
+
+LOSS_UNITS = (0.1, 0.01, 0.005, 0.001)
+"""Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in a decode loss."""
+
+
+def decode_penalty(squared: Float[Array, "4"]) -> Float[Array, ""]:
+    """Return one number for four squared errors: quadratic for small errors, linear for large ones, in loss units."""
+    return jnp.mean(jnp.sqrt(1.0 + squared / jnp.asarray(LOSS_UNITS, squared.dtype) ** 2) - 1.0)

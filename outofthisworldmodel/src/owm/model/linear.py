@@ -8,25 +8,56 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from owm.data import Episodes
-from owm.model.kinematics import Motion, advance, apply, apply_inverse, increments, rotation, to_motion, to_station
+from owm.model.kinematics import (
+    Motion,
+    advance,
+    apply,
+    apply_inverse,
+    increments,
+    multiply,
+    rotation,
+    to_motion,
+    to_station,
+)
 
 FIT_ROWS = 200_000
 """Most transitions that a fit uses; more would not change a digit that matters."""
 
 
 class LinearMap(NamedTuple):
-    """What changes over one step, linear in the action and in the station-frame position and velocity.
+    """What changes over one step, linear in the action, in station-frame position and velocity, and in rate products.
+
+    Such maps hold the orbital terms of Clohessy and Wiltshire, and Euler's equations in a station frame that turns
+    about its x axis, the orbit normal, to first order in the step.
 
     Attributes:
         action: body-frame velocity (m/s) and rate (rad/s) change per N and N m.
         bias: the same without any action.
-        station: station-frame velocity change per metre and per m/s of station-frame position and velocity; zero in
-            a map fitted to the actions alone.
+        station: station-frame velocity change per metre and per m/s of station-frame position and velocity.
+        gyroscopic: body-frame rate change (rad/s) per unit of `rate_products`. Like `station` zero in a map fitted to
+            the actions alone.
     """
 
     action: Float[Array, "6 6"]
     bias: Float[Array, "6"]
     station: Float[Array, "3 6"]
+    gyroscopic: Float[Array, "3 15"]
+
+    @classmethod
+    def skeleton(cls, dtype: jnp.dtype) -> "LinearMap":
+        """Return the shapes."""
+        return cls(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6, 6), (6,), (3, 6), (3, 15))))
+
+
+def rate_products(rate: Float[Array, "3"], turn: Float[Array, "3 3"]) -> Float[Array, "15"]:
+    """Return xx, yy, zz, yz, zx, xy of the body rate, then its products with the station's x axis in body axes.
+
+    Args:
+        rate: rad/s, body frame.
+        turn: rotation from body to station frame, whose first row is that axis.
+    """
+    mixed = jnp.roll(rate, -1) * jnp.roll(rate, -2)
+    return jnp.concatenate([rate * rate, mixed, (rate[:, None] * turn[0]).reshape(9)])
 
 
 def linear_increment(
@@ -35,7 +66,10 @@ def linear_increment(
     """Return the body-frame increment and the anchor-frame velocity drift of one step, as `advance` takes them."""
     position, velocity, turn = to_station(motion)
     drift = apply_inverse(turn, apply(linear.station, jnp.concatenate([position, velocity])))
-    return apply(linear.action, action) + linear.bias, drift
+    body = rotation(multiply(motion.anchor[3:], motion.attitude))
+    gyroscopic = apply(linear.gyroscopic, rate_products(motion.rate, body))
+    increment = apply(linear.action, action) + linear.bias
+    return increment + jnp.concatenate([jnp.zeros_like(gyroscopic), gyroscopic]), drift
 
 
 def linear_advance(linear: LinearMap, motion: Motion, action: Float[Array, "6"], dt: float) -> Motion:
@@ -63,12 +97,12 @@ def _body_increments(before: Array, after: Array, dt: Array) -> tuple[Array, Arr
     return jax.vmap(one)(before, after)
 
 
-def fit_linear_map(episodes: Episodes, *, station: bool = True) -> LinearMap:
+def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
     """Fit the linear map to measured transitions by least squares.
 
     Args:
         episodes: training episodes; measurements are used, not the truth.
-        station: fit the station-frame terms too; otherwise only action and bias.
+        motion: fit the terms of position, velocity and rate too; otherwise only action and bias.
     """
     before, after, action = transitions(episodes)
     change, turn = (np.asarray(x, np.float64) for x in _body_increments(before, after, episodes.dt))
@@ -77,17 +111,20 @@ def fit_linear_map(episodes: Episodes, *, station: bool = True) -> LinearMap:
     # Columns are scaled to order one so that the normal equations stay well conditioned.
     unit = np.maximum(np.abs(action).max(axis=0), 1e-9)
     inputs = np.concatenate([action / unit, np.ones((rows, 1))], axis=1)
-    rate, *_ = np.linalg.lstsq(inputs, change[:, 3:], rcond=None)
+
+    products = np.asarray(jax.vmap(rate_products)(before[:, 10:], turn), np.float64)
+    size = np.maximum(np.abs(products).max(axis=0), 1e-12)
+    rate, *_ = np.linalg.lstsq(np.concatenate([inputs, products / size], axis=1) if motion else inputs, change[:, 3:])
 
     # Velocity: row i of a sample holds the inputs in block i, and the station terms turned into the body frame.
     where = np.maximum(np.abs(before[:, :6]).max(axis=0), 1e-9)
-    columns = 21 + (18 if station else 0)
+    columns = 21 + (18 if motion else 0)
     normal, moment = np.zeros((columns, columns)), np.zeros(columns)
     for part in np.array_split(np.arange(rows), max(rows // 20_000, 1)):
         design = np.zeros((len(part), 3, columns))
         for i in range(3):
             design[:, i, 7 * i : 7 * i + 7] = inputs[part]
-        if station:
+        if motion:
             terms = turn[part].transpose(0, 2, 1)[:, :, :, None] * (before[part, :6] / where)[:, None, None, :]
             design[:, :, 21:] = terms.reshape(len(part), 3, 18)
         design = design.reshape(-1, columns)
@@ -95,9 +132,10 @@ def fit_linear_map(episodes: Episodes, *, station: bool = True) -> LinearMap:
         moment += design.T @ change[part, :3].reshape(-1)
     solution, *_ = np.linalg.lstsq(normal, moment, rcond=None)
     velocity = solution[:21].reshape(3, 7)
-    dtype = episodes.observation.dtype
-    return LinearMap(
-        action=jnp.asarray(np.concatenate([velocity[:, :6], rate[:6].T]) / unit, dtype),
-        bias=jnp.asarray(np.concatenate([velocity[:, 6], rate[6]]), dtype),
-        station=jnp.asarray(solution[21:].reshape(3, 6) / where if station else np.zeros((3, 6)), dtype),
+    fitted = LinearMap(
+        action=np.concatenate([velocity[:, :6], rate[:6].T]) / unit,
+        bias=np.concatenate([velocity[:, 6], rate[6]]),
+        station=solution[21:].reshape(3, 6) / where if motion else np.zeros((3, 6)),
+        gyroscopic=rate[7:].T / size if motion else np.zeros((3, 15)),
     )
+    return jax.tree.map(lambda x: jnp.asarray(x, episodes.observation.dtype), fitted)

@@ -38,6 +38,12 @@ class Network(eqx.Module):
         return jnp.concatenate([self.stream.tokens(statistics, carry), action[None]]) + self.kind
 
 
+def parameter_counts(config: ModelConfig) -> dict[str, int]:
+    """Return how many numbers training changes, by part of the network."""
+    network = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0)))
+    return {name: sum(leaf.size for leaf in jax.tree.leaves(part)) for name, part in vars(network).items()}
+
+
 class Params(NamedTuple):
     """Everything traced: what training changes and what it measured."""
 
@@ -78,8 +84,7 @@ class LearnedWorldModel:
     def encode_sequence(self, params: Params, history: History) -> tuple[ModelState, Any, Float[Array, "H-1 n d"]]:
         """Encode, and also return the carries of all measurements and the backbone's output at all but the last."""
         network, statistics = params
-        anchor = history.observation[0]
-        carries = jax.vmap(lambda view: network.stream.start(statistics, view, anchor))(history.observation)
+        carries = network.stream.follow(statistics, *history, self.dt)
         past = jax.tree.map(lambda x: x[:-1], carries)
         tokens = jax.vmap(lambda carry, action: network.tokens(statistics, carry, action))(past, history.action)
         outputs, memory = network.backbone.sequence(tokens, history.valid[:-1])
@@ -95,12 +100,14 @@ class LearnedWorldModel:
     def step(
         self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
     ) -> ModelState:
-        """Predict one step of `dt`; with a key the flow starts from noise (`FlowHead` says what that is worth)."""
+        """Predict one step of `dt`: what is expected, or with a key a sample of the next measurement."""
         network, statistics = params
         action = _cast(params, action)
         output, memory = self.attend(params, action, state)
-        residual = network.head.sample(key, output, network.stream.residual_size)
-        return ModelState(network.stream.advance(statistics, state.carry, residual, action, self.dt), memory)
+        sampled = key is not None
+        residual = network.head.sample(key, output, self.config.head_steps) if sampled else network.head.mean(output)
+        carry = network.stream.advance(statistics, state.carry, residual, action, self.dt, sampled=sampled)
+        return ModelState(carry, memory)
 
     def observe(
         self, params: Params, state: ModelState, action: Float[Array, "6"], observation: Float[Array, "13"]
@@ -109,7 +116,7 @@ class LearnedWorldModel:
         network, statistics = params
         observation, action = _cast(params, (observation, action))
         _, memory = self.attend(params, action, state)
-        return ModelState(network.stream.observe(statistics, state.carry, observation), memory)
+        return ModelState(network.stream.observe(statistics, state.carry, action, observation, self.dt), memory)
 
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""

@@ -15,7 +15,7 @@ class Losses(NamedTuple):
     """The terms of the objective, unweighted.
 
     Attributes:
-        flow: mean square error of the clean unit-variance residual at random noise levels.
+        flow: the head's loss on the next measurement after every measured history of the window.
         decode: mean decode loss of the rolled-out predictions over all depths, in the stream's loss units.
         round_trip: the same of the encoded measurements, no dynamics between; zero where nothing is encoded.
     """
@@ -31,14 +31,14 @@ class Draws(NamedTuple):
     Attributes:
         start: which window.
         context: how much of its history the model may see.
-        level: noise levels of the flow loss.
+        level: decide the noise levels of the flow loss.
         noise: its noise, standard normal.
         coin: a step whose coin is below the teacher probability continues from the measurement.
     """
 
     start: Float[Array, ""]
     context: Float[Array, ""]
-    level: Float[Array, "L-1"]
+    level: Float[Array, "L-1 3"]
     noise: Float[Array, "L-1 n r"]
     coin: Float[Array, "F"]
 
@@ -46,9 +46,10 @@ class Draws(NamedTuple):
 def draw(key: Key[Array, ""], batch: int, steps: int, depth: int, stream: Stream, dtype: jnp.dtype) -> Draws:
     """Draw for a whole batch in two calls, which compiles to far less than drawing where the numbers are used."""
     k_uniform, k_noise = jax.random.split(key)
-    uniform = jax.random.uniform(k_uniform, (batch, 2 + steps + depth), dtype)
+    uniform = jax.random.uniform(k_uniform, (batch, 2 + 3 * steps + depth), dtype)
     noise = jax.random.normal(k_noise, (batch, steps, stream.token_count, stream.residual_size), dtype)
-    return Draws(uniform[:, 0], uniform[:, 1], uniform[:, 2 : 2 + steps], noise, uniform[:, 2 + steps :])
+    start, context, level, coin = jnp.split(uniform, (1, 2, 2 + 3 * steps), axis=1)
+    return Draws(start[:, 0], context[:, 0], level.reshape(batch, steps, 3), noise, coin)
 
 
 def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
@@ -65,7 +66,7 @@ def window_losses(
     teacher: Float[Array, ""] | float,
     draws: Draws,
 ) -> Losses:
-    """Roll a window out on the model's own predictions and compare every depth with the measurements.
+    """Predict a window from its measurements, step by step, and from its own predictions after the history.
 
     Args:
         model: gives configuration and stream.
@@ -78,32 +79,29 @@ def window_losses(
     """
     network, statistics = params
     stream, dt, length = network.stream, model.dt, model.history_length
-    history = history_of(observation, action, length, context)
-    state, _, past = model.encode_sequence(params, history)
-    measured = jax.vmap(lambda view: stream.start(statistics, view, history.observation[0]))(observation)
+    steps = len(observation) - length
+    # The distribution of a measurement given the measurements before it ...
+    whole = history_of(observation, action, length + steps, context + steps)
+    _, measured, outputs = model.encode_sequence(params, whole)
     before, after = jax.tree.map(lambda x: x[:-1], measured), jax.tree.map(lambda x: x[1:], measured)
     target = jax.vmap(lambda b, a, u: stream.target(statistics, b, a, u, dt))(before, after, action)
+    error = jax.vmap(network.head.loss)(target, outputs, draws.level, draws.noise)
+    counts = whole.valid[:-1]
+    flow = jnp.sum(jnp.where(counts, error, 0.0)) / jnp.sum(counts)
 
-    def advance(state: ModelState, step: tuple) -> tuple[ModelState, tuple[Array, Array]]:
+    # ... and what is expected of a rollout.
+    def advance(state: ModelState, step: tuple) -> tuple[ModelState, Array]:
         coin, action, before, view = step
         carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
         output, memory = model.attend(params, action, ModelState(carry, state.memory))
-        residual = network.head.sample(None, output, stream.residual_size)
-        carry = stream.advance(statistics, carry, residual, action, dt)
-        return ModelState(carry, memory), (output, stream.decode_loss(statistics, carry, view))
+        carry = stream.advance(statistics, carry, network.head.mean(output), action, dt, sampled=False)
+        return ModelState(carry, memory), stream.decode_loss(statistics, carry, view)
 
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.
     advance = jax.checkpoint(advance, prevent_cse=False)
     rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[1:]))
-    _, (ahead, decode) = jax.lax.scan(advance, state, (draws.coin, *rolled))
-
-    # The history predicts too, so its steps count; those before the first real measurement do not.
-    output = jnp.concatenate([past, ahead])
-    counts = jnp.concatenate([history.valid[:-1], jnp.ones(len(draws.coin), bool)])
-    tau = draws.level[:, None, None]
-    noised = (1.0 - tau) * target + tau * draws.noise
-    error = jnp.mean((jax.vmap(network.head)(noised, draws.level, output) - target) ** 2, axis=(1, 2))
-    round_trip = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, observation)
-    flow = jnp.sum(jnp.where(counts, error, 0.0)) / jnp.sum(counts)
-    return Losses(flow, jnp.mean(decode), jnp.mean(round_trip))
+    state = model.encode(params, history_of(observation, action, length, context))
+    _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
+    lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, whole.observation)
+    return Losses(flow, jnp.mean(decode), jnp.mean(lost))

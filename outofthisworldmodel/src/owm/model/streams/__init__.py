@@ -8,11 +8,12 @@ forward is its carry, a pytree of its own type: of one stream a physical motion,
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from owm.data import Episodes
 from owm.model.config import ModelConfig
 from owm.model.streams.kinematic import KinematicStream
+from owm.model.streams.latent import LatentStream
 
 
 class Stream(Protocol):
@@ -38,11 +39,20 @@ class Stream(Protocol):
     def skeleton(dtype: jnp.dtype) -> NamedTuple:
         """Return the shapes of the statistics."""
 
-    def start(self, statistics: Any, view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Any:
-        """Return the carry of a measured view in a window whose first view is `anchor`."""
+    def follow(
+        self,
+        statistics: Any,
+        observation: Float[Array, "T 13"],
+        action: Float[Array, "T-1 6"],
+        valid: Bool[Array, "T"],
+        dt: float,
+    ) -> Any:
+        """Return the carries of all measurements of a window, stacked; leading ones may be copies, not `valid`."""
 
-    def observe(self, statistics: Any, carry: Any, view: Float[Array, "13"]) -> Any:
-        """Return the carry of a view measured after steps from `carry`, whose tokens attention remembers."""
+    def observe(
+        self, statistics: Any, carry: Any, action: Float[Array, "6"], view: Float[Array, "13"], dt: float
+    ) -> Any:
+        """Return the carry of a view measured after an action from `carry`, whose tokens attention remembers."""
 
     def tokens(self, statistics: Any, carry: Any) -> Float[Array, "n d"]:
         """Return what the backbone sees of a carry."""
@@ -50,12 +60,19 @@ class Stream(Protocol):
     def target(
         self, statistics: Any, before: Any, after: Any, action: Float[Array, "6"], dt: float
     ) -> Float[Array, "n r"]:
-        """Return the residual, of unit variance, with which `advance` leads from one measured carry to the next."""
+        """Return the residual, of unit variance, with which `advance` leads from a carry to the next measurement."""
 
     def advance(
-        self, statistics: Any, carry: Any, residual: Float[Array, "n r"], action: Float[Array, "6"], dt: float
+        self,
+        statistics: Any,
+        carry: Any,
+        residual: Float[Array, "n r"],
+        action: Float[Array, "6"],
+        dt: float,
+        *,
+        sampled: bool,
     ) -> Any:
-        """Advance the carry by one step under a predicted residual."""
+        """Advance the carry by one step under a residual, `sampled` or expected."""
 
     def decode(self, statistics: Any, carry: Any) -> dict[str, Array]:
         """Read the carry out; the entry `"state"` is the 13-number view in the station frame."""
@@ -67,5 +84,5 @@ class Stream(Protocol):
         """Compare the carry of a measured view with that view: what encoder and decoder lose between them."""
 
 
-STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream}
+STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream, "latent": LatentStream}
 """Streams by the name that `ModelConfig.stream` gives."""

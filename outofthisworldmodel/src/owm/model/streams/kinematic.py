@@ -1,4 +1,4 @@
-"""The kinematic stream: a learned residual on analytic rigid-body kinematics."""
+"""The kinematic stream: a learned residual on analytic rigid-body kinematics, filtered from noisy measurements."""
 
 from typing import ClassVar, NamedTuple
 
@@ -6,15 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from owm.data import Episodes
 from owm.model.config import ModelConfig
 from owm.model.kinematics import (
-    Motion,
     advance,
     apply_inverse,
-    increments,
+    decode_penalty,
     motion_error,
     multiply,
     rotation,
@@ -22,7 +21,18 @@ from owm.model.kinematics import (
     to_station,
     to_view,
 )
-from owm.model.linear import LinearMap, fit_linear_map, linear_increment, transitions
+from owm.model.linear import LinearMap, fit_linear_map, linear_advance, linear_increment
+from owm.model.track import (
+    FilterStatistics,
+    Track,
+    correct,
+    displacement,
+    fit_filter,
+    follow,
+    innovation_scale,
+    next_gain,
+    observe,
+)
 from owm.model.transformer import Perceptron
 
 
@@ -31,7 +41,7 @@ class Statistics(NamedTuple):
 
     Attributes:
         linear: the least-squares map under the network.
-        residual_scale: standard deviation of what the map leaves, per component.
+        filter: what measurements are filtered with.
         action_scale: root mean square of each action component.
         position_scale: root mean square of station-frame position, m.
         velocity_scale: root mean square of velocity, m/s.
@@ -39,7 +49,7 @@ class Statistics(NamedTuple):
     """
 
     linear: LinearMap
-    residual_scale: Float[Array, "6"]
+    filter: FilterStatistics
     action_scale: Float[Array, "6"]
     position_scale: Float[Array, ""]
     velocity_scale: Float[Array, ""]
@@ -47,20 +57,23 @@ class Statistics(NamedTuple):
 
 
 class KinematicStream(eqx.Module):
-    """A learned residual on analytic kinematics: one token, whose residual is a body-frame velocity and rate increment.
+    """A learned residual on analytic kinematics: one token, whose residual is the innovation of the next measurement.
 
-    The carry is the motion relative to the pose at the start of the window. The network never sees that arbitrary
-    frame: it gets velocity and rate in the body frame, on which thrust and gyroscopic terms depend, and position,
-    velocity and attitude in the station frame, on which orbital terms depend. So nothing it sees grows with the
-    distance from the anchor, and the anchor may move whenever a measurement arrives.
+    The carry is a filtered motion relative to the pose at the start of the window, and what the filter knows of the
+    sensors. The network never sees that arbitrary frame: it gets velocity and rate in the body frame, on which thrust
+    and gyroscopic terms depend, and position, velocity and attitude in the station frame, on which orbital terms
+    depend. So nothing it sees grows with the distance from the anchor.
+
+    The residual is how far the next measurement is from the linear map's prediction, in the body frame and in units
+    of the filter's. A sample of it is a sample of the measurement, and moves the estimate as a measurement would:
+    sampled tracks are to the network what measured ones are, and their noise does not add up. Its expectation moves
+    velocity and rate alone, as increments of a step: position and attitude follow by kinematics.
     """
 
     encoder: Perceptron
     token_count: ClassVar[int] = 1
-    residual_size: ClassVar[int] = 6
-    features: ClassVar[int] = 21
-    loss_units: ClassVar[tuple[float, ...]] = (0.1, 0.01, 0.005, 0.001)
-    """Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in the decode loss."""
+    residual_size: ClassVar[int] = 12
+    features: ClassVar[int] = 41
 
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
         self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
@@ -69,45 +82,57 @@ class KinematicStream(eqx.Module):
     def fit(episodes: Episodes) -> Statistics:
         """Measure the statistics on training episodes."""
         linear = fit_linear_map(episodes)
-        before, after, action = transitions(episodes)
-        unit = jnp.ones(6, before.dtype)
-
-        def residual(before: Array, after: Array, action: Array) -> Array:
-            first = to_motion(before, before)
-            increment, drift = linear_increment(linear, first, action)
-            return increments(first, to_motion(after, before), episodes.dt, drift) - increment
-
-        left = np.asarray(jax.jit(jax.vmap(residual))(before, after, action), np.float64)
-        before, action = np.asarray(before, np.float64), np.asarray(action, np.float64)
 
         def size(x: np.ndarray, axis: int | None = None) -> Array:
-            return jnp.asarray(np.maximum(np.sqrt(np.mean(x * x, axis=axis)), 1e-9), unit.dtype)
+            mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
+            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.observation.dtype)
 
+        view = episodes.observation
         return Statistics(
-            linear, size(left, 0), size(action, 0), size(before[:, :3]), size(before[:, 3:6]), size(before[:, 10:])
+            linear,
+            fit_filter(episodes, linear),
+            size(episodes.action, 0),
+            size(view[:, :3]),
+            size(view[:, 3:6]),
+            size(view[:, 10:]),
         )
 
     @staticmethod
     def skeleton(dtype: jnp.dtype) -> Statistics:
         """Return the shapes of the statistics."""
-        linear = LinearMap(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6, 6), (6,), (3, 6))))
-        return Statistics(linear, *(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (6,), (), (), ())))
 
-    def start(self, statistics: Statistics, view: Float[Array, "13"], anchor: Float[Array, "13"]) -> Motion:
-        """Return the motion of a measured view in a window that starts at `anchor`."""
-        return to_motion(view, anchor)
+        def shapes(*sizes: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
+            return [jax.ShapeDtypeStruct(size, dtype) for size in sizes]
 
-    def observe(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Motion:
-        """Return the motion of a new measurement, which becomes the anchor."""
-        return to_motion(view, view)
+        return Statistics(
+            LinearMap.skeleton(dtype), FilterStatistics(*shapes((4,), (4,), (12,))), *shapes((6,), (), (), ())
+        )
 
-    def tokens(self, statistics: Statistics, motion: Motion) -> Float[Array, "1 d"]:
-        """Return the token of a motion."""
-        return self.encoder(self.inputs(statistics, motion))
+    def follow(
+        self,
+        statistics: Statistics,
+        observation: Float[Array, "T 13"],
+        action: Float[Array, "T-1 6"],
+        valid: Bool[Array, "T"],
+        dt: float,
+    ) -> Track:
+        """Return the tracks at all measurements of a window, stacked."""
+        return follow(statistics.filter, statistics.linear, observation, action, valid, dt)
+
+    def observe(
+        self, statistics: Statistics, track: Track, action: Float[Array, "6"], view: Float[Array, "13"], dt: float
+    ) -> Track:
+        """Return the track after an action and the measurement that followed it."""
+        return observe(statistics.filter, statistics.linear, track, action, view, dt)
+
+    def tokens(self, statistics: Statistics, track: Track) -> Float[Array, "1 d"]:
+        """Return the token of a track."""
+        return self.encoder(self.inputs(statistics, track))
 
     @staticmethod
-    def inputs(statistics: Statistics, motion: Motion) -> Float[Array, "1 21"]:
+    def inputs(statistics: Statistics, track: Track) -> Float[Array, "1 41"]:
         """Return what the token is made of, each of order one and blind to the sign of q."""
+        motion = track.motion
         position, velocity, _ = to_station(motion)
         turn = rotation(multiply(motion.anchor[3:], motion.attitude))
         body_velocity = apply_inverse(turn, velocity)
@@ -118,38 +143,47 @@ class KinematicStream(eqx.Module):
                 velocity / statistics.velocity_scale,
                 position / statistics.position_scale,
                 turn.reshape(9),
+                # Bounded, for sensors unlike any of the training episodes.
+                5.0 * jnp.tanh(track.innovation / 5.0),
+                jnp.tanh(0.25 * jnp.log(track.noise / statistics.filter.noise)),
+                next_gain(statistics.filter, track),
             ]
         )[None]
 
     def target(
-        self, statistics: Statistics, before: Motion, after: Motion, action: Float[Array, "6"], dt: float
-    ) -> Float[Array, "1 6"]:
-        """Return the unit-variance residual that leads from one measured motion to the next."""
-        increment, drift = linear_increment(statistics.linear, before, action)
-        return ((increments(before, after, dt, drift) - increment) / statistics.residual_scale)[None]
+        self, statistics: Statistics, before: Track, after: Track, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, "1 12"]:
+        """Return the unit-variance residual that leads from a track to the view of the next one."""
+        predicted = linear_advance(statistics.linear, before.motion, action, dt)
+        return (displacement(predicted, after.view) / innovation_scale(statistics.filter, before))[None]
 
     def advance(
         self,
         statistics: Statistics,
-        motion: Motion,
-        residual: Float[Array, "1 6"],
+        track: Track,
+        residual: Float[Array, "1 12"],
         action: Float[Array, "6"],
         dt: float,
-    ) -> Motion:
-        """Advance the carry by one step under a predicted residual."""
-        increment, drift = linear_increment(statistics.linear, motion, action)
-        return advance(motion, increment + statistics.residual_scale * residual[0], dt, drift)
+        *,
+        sampled: bool,
+    ) -> Track:
+        """Advance the track by one step under a sampled (or measured) residual, or under the expected one."""
+        if sampled:
+            predicted = linear_advance(statistics.linear, track.motion, action, dt)
+            return correct(statistics.filter, track, predicted, residual[0])
+        increment, drift = linear_increment(statistics.linear, track.motion, action)
+        away = innovation_scale(statistics.filter, track) * residual[0]
+        motion = advance(track.motion, increment + jnp.concatenate([away[3:6], away[9:]]), dt, drift)
+        return track._replace(motion=motion, view=motion, innovation=jnp.zeros_like(track.innovation))
 
-    def decode(self, statistics: Statistics, motion: Motion) -> dict[str, Array]:
-        """Read the motion out."""
-        return {"state": to_view(motion)}
+    def decode(self, statistics: Statistics, track: Track) -> dict[str, Array]:
+        """Read out what the sensors show."""
+        return {"state": to_view(track.view)}
 
-    def decode_loss(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Float[Array, ""]:
-        """Compare a prediction with a measurement: quadratic for small errors, linear for large ones, in loss units."""
-        units = jnp.asarray(self.loss_units, motion.rate.dtype)
-        error = motion_error(motion, to_motion(view, motion.anchor))
-        return jnp.mean(jnp.sqrt(1.0 + error / units**2) - 1.0)
+    def decode_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Compare a prediction with a measurement."""
+        return decode_penalty(motion_error(track.view, to_motion(view, track.view.anchor)))
 
-    def round_trip_loss(self, statistics: Statistics, motion: Motion, view: Float[Array, "13"]) -> Float[Array, ""]:
-        """Return zero: nothing is lost on the way from view to motion and back."""
-        return jnp.zeros((), motion.rate.dtype)
+    def round_trip_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Return zero: nothing is lost on the way from view to track and back."""
+        return jnp.zeros((), view.dtype)

@@ -1,0 +1,216 @@
+"""The latent stream: the tokens themselves are rolled forward, between a learned encoder and a learned decoder.
+
+A view becomes four tokens (position, velocity, attitude, rate), the next four follow from them, and only a decoder
+turns tokens into a view again. No equation of motion is given. Source: the paper, section on the architecture.
+"""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Key
+
+from owm.data import Episodes
+from owm.model.bilinear import COLUMNS, bilinear_change, fit_bilinear_map
+from owm.model.config import ModelConfig
+from owm.model.kinematics import decode_penalty, pose, quaternion, rotation
+from owm.model.linear import transitions
+from owm.model.transformer import Linear, Perceptron
+
+SIZES = (3, 3, 9, 3)
+"""Features of a token: position, velocity, rotation matrix, rate."""
+_FEATURES = sum(SIZES)
+_OWNER = np.repeat(np.arange(len(SIZES)), SIZES)
+_MEMBERS = np.eye(len(SIZES))[:, _OWNER]  # (4, 18): which features are a token's
+SECONDS = 10.0
+"""The way gone in this time at the root-mean-square speed is the unit of position."""
+
+
+class Statistics(NamedTuple):
+    """What is measured on the training episodes once and held fixed.
+
+    Attributes:
+        feature_scale: units of the four kinds of features: m, m/s, none, rad/s.
+        transition: the least-squares map under the network, in scaled features and actions.
+        residual_scale: root mean square of a token's change that the map leaves, per component of the token.
+        change_scale: the same of the whole change, for a model without the map.
+        action_scale: root mean square of each action component.
+    """
+
+    feature_scale: Float[Array, "4"]
+    transition: Float[Array, "18 c"]
+    residual_scale: Float[Array, "4"]
+    change_scale: Float[Array, "4"]
+    action_scale: Float[Array, "6"]
+
+
+class Latent(NamedTuple):
+    """Tokens, and the pose at the start of the window: position counts from there, and orbital terms depend on it."""
+
+    anchor: Float[Array, "7"]
+    tokens: Float[Array, "4 d"]
+
+
+def features(view: Float[Array, "13"], anchor: Float[Array, "7"]) -> Float[Array, "18"]:
+    """Return position from the anchor, velocity, rotation matrix (station frame) and body rate, SI."""
+    return jnp.concatenate([view[:3] - anchor[:3], view[3:6], rotation(view[6:10]).reshape(9), view[10:]])
+
+
+def embedding(width: int) -> Float[np.ndarray, "18 d"]:
+    """Return orthonormal rows for the features of each token: cosines, without the constant.
+
+    Source: the discrete cosine transform II.
+    """
+    order = np.concatenate([1 + np.arange(size) for size in SIZES])
+    return np.sqrt(2 / width) * np.cos(np.pi * np.outer(order, np.arange(width) + 0.5) / width)
+
+
+class LatentStream(eqx.Module):
+    """Latent autoregression over four tokens.
+
+    Encoder and decoder are perceptrons beside a fixed isometry between features and tokens: it keeps a token from
+    losing a feature or shrinking, so that latents cannot collapse while targets have a scale that is measured once.
+    A token's next value is its own, plus what a least-squares map of the encoded features gives (unless
+    `config.skip` is "none"), plus what the flow head predicts.
+    """
+
+    encoder: Perceptron
+    decoder: Perceptron
+    context: Linear
+    width: int = eqx.field(static=True)
+    skip: str = eqx.field(static=True)
+    token_count: ClassVar[int] = len(SIZES)
+
+    def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
+        k_encoder, k_decoder, k_context = jax.random.split(key, 3)
+        self.width, self.skip = config.width, config.skip
+        hidden, flat = 2 * config.width, len(SIZES) * config.width
+        self.encoder = Perceptron(_FEATURES, hidden, flat, dtype, key=k_encoder, scale=0.0)
+        self.decoder = Perceptron(flat, hidden, _FEATURES, dtype, key=k_decoder, scale=0.0)
+        self.context = Linear(3, config.width, dtype, key=k_context, scale=0.1)
+
+    @property
+    def residual_size(self) -> int:
+        """The token dimension."""
+        return self.width
+
+    @staticmethod
+    def fit(episodes: Episodes) -> Statistics:
+        """Measure the statistics on training episodes; measurements are used, not the truth."""
+        before, after, action = transitions(episodes, 100_000)
+        dtype = before.dtype
+
+        def rms(x: Array, axis: int | None = None) -> np.ndarray:
+            return np.maximum(np.sqrt(np.mean(np.square(np.asarray(x, np.float64)), axis=axis)), 1e-9)
+
+        speed = rms(before[:, 3:6])
+        kinds = jnp.asarray([SECONDS * speed, speed, 3**-0.5, rms(before[:, 10:])], dtype)
+        scale, action_scale = kinds[_OWNER], jnp.asarray(rms(action, 0), dtype)
+        origin = jnp.zeros(7, dtype)
+        first, second = (jax.jit(jax.vmap(lambda view: features(view, origin) / scale))(x) for x in (before, after))
+        transition, left = fit_bilinear_map(first, action / action_scale, second - first)
+        # An isometry spreads the features of a token over all of its components.
+        spread = [np.sqrt(np.maximum(_MEMBERS @ np.mean(np.square(x), axis=0), 1e-16)) for x in (left, second - first)]
+        residual, change = (jnp.asarray(x, dtype) for x in spread)
+        return Statistics(kinds, jnp.asarray(transition, dtype), residual, change, action_scale)
+
+    @staticmethod
+    def skeleton(dtype: jnp.dtype) -> Statistics:
+        """Return the shapes of the statistics."""
+        shapes = ((4,), (_FEATURES, COLUMNS), (4,), (4,), (6,))
+        return Statistics(*(jax.ShapeDtypeStruct(shape, dtype) for shape in shapes))
+
+    def embed(self, features: Float[Array, "18"]) -> Float[Array, "4 d"]:
+        """Lay scaled features out in their tokens, the linear part of the encoder."""
+        table = jnp.asarray(embedding(self.width), features.dtype)
+        return jnp.asarray(_MEMBERS, features.dtype) @ (features[:, None] * table)
+
+    def read(self, tokens: Float[Array, "4 d"]) -> Float[Array, "18"]:
+        """Return the scaled features that lie in the tokens, the linear part of the decoder; undoes `embed`."""
+        return jnp.sum(tokens[_OWNER] * jnp.asarray(embedding(self.width), tokens.dtype), axis=-1)
+
+    def follow(
+        self,
+        statistics: Statistics,
+        observation: Float[Array, "T 13"],
+        action: Float[Array, "T-1 6"],
+        valid: Bool[Array, "T"],
+        dt: float,
+    ) -> Latent:
+        """Encode the measurements of a window, each by itself."""
+        anchor = pose(observation[0])
+        return jax.vmap(lambda view: self._encode(statistics, view, anchor))(observation)
+
+    def observe(
+        self, statistics: Statistics, carry: Latent, action: Float[Array, "6"], view: Float[Array, "13"], dt: float
+    ) -> Latent:
+        """Encode a new measurement; the anchor stays, because the tokens that attention remembers count from it."""
+        return self._encode(statistics, view, carry.anchor)
+
+    def _encode(self, statistics: Statistics, view: Array, anchor: Array) -> Latent:
+        scaled = features(view, anchor) / statistics.feature_scale[_OWNER]
+        return Latent(anchor, self.embed(scaled) + self.encoder(scaled).reshape(len(SIZES), -1))
+
+    def tokens(self, statistics: Statistics, carry: Latent) -> Float[Array, "4 d"]:
+        """Return the tokens, and where their positions count from."""
+        return carry.tokens + self.context(carry.anchor[:3] / statistics.feature_scale[0])
+
+    def _scale(self, statistics: Statistics) -> Float[Array, "4 1"]:
+        scale = statistics.change_scale if self.skip == "none" else statistics.residual_scale
+        return scale[:, None] * self.width**-0.5
+
+    def _change(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
+        """Return the change of the tokens by the least-squares map."""
+        if self.skip == "none":
+            return jnp.zeros_like(carry.tokens)
+        scaled = self.read(carry.tokens)
+        absolute = scaled.at[:3].add(carry.anchor[:3] / statistics.feature_scale[0])
+        return self.embed(bilinear_change(statistics.transition, absolute, action / statistics.action_scale))
+
+    def target(
+        self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, "4 d"]:
+        """Return the unit-variance residual between encoded measurements.
+
+        No gradient passes: the encoder is to serve prediction and decoder, not to make its own targets easy.
+        """
+        change = after.tokens - before.tokens - self._change(statistics, before, action)
+        return jax.lax.stop_gradient(change / self._scale(statistics))
+
+    def advance(
+        self,
+        statistics: Statistics,
+        carry: Latent,
+        residual: Float[Array, "4 d"],
+        action: Float[Array, "6"],
+        dt: float,
+        *,
+        sampled: bool,
+    ) -> Latent:
+        """Add the map's change and the predicted residual to the tokens."""
+        change = self._change(statistics, carry, action) + self._scale(statistics) * residual
+        return carry._replace(tokens=carry.tokens + change)
+
+    def decoded(self, statistics: Statistics, carry: Latent) -> Float[Array, "18"]:
+        """Return the features that the tokens stand for, SI; their rotation matrix is one only nearly."""
+        return (self.read(carry.tokens) + self.decoder(carry.tokens.reshape(-1))) * statistics.feature_scale[_OWNER]
+
+    def decode(self, statistics: Statistics, carry: Latent) -> dict[str, Array]:
+        """Return the view, its quaternion that of the nearest rotation, on the anchor's side of the sphere."""
+        seen = self.decoded(statistics, carry)
+        q = quaternion(seen[6:15].reshape(3, 3))
+        q = jnp.where(jnp.sum(q * carry.anchor[3:]) < 0.0, -q, q)
+        return {"state": jnp.concatenate([seen[:3] + carry.anchor[:3], seen[3:6], q, seen[15:]])}
+
+    def decode_loss(self, statistics: Statistics, carry: Latent, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Compare decoded features with those of the measurement."""
+        error = self.decoded(statistics, carry) - features(view, carry.anchor)
+        # Half the squared difference of two rotation matrices is the squared angle, as motions are compared.
+        weight = jnp.asarray(_MEMBERS * np.asarray([1.0, 1.0, 0.5, 1.0])[:, None], error.dtype)
+        return decode_penalty(weight @ error**2)
+
+    def round_trip_loss(self, statistics: Statistics, carry: Latent, view: Float[Array, "13"]) -> Float[Array, ""]:
+        """Compare an encoded measurement, decoded again, with itself."""
+        return self.decode_loss(statistics, carry, view)
