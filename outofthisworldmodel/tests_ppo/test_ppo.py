@@ -84,7 +84,7 @@ def test_the_exported_actor_is_stable_baselines3_s(run, tmp_path):
     config = venv.get_attr("config")[0]
     ours = PPOPolicy(tmp_path / "policy", config, 5, load_field())
     observation = venv.reset()
-    ours.reset(ports=[port_index(info["port"]) for info in venv.reset_infos])
+    ours.reset(ports=[port_index(info["port"]) for info in venv.unwrapped.reset_infos])
     raw = venv.get_original_obs()
     for _ in range(5):
         expected = model.predict(observation, deterministic=True)[0]
@@ -118,8 +118,8 @@ def test_the_field_is_observed_at_the_measured_position_of_each_slot_s_port():
     venv = make_env(QUICK.model_copy(update={"noise": "none"}), 6, 3, training=False)
     venv.reset()
     raw, field = venv.get_original_obs(), load_field()
-    ports = np.array([port_index(info["port"]) for info in venv.reset_infos], np.int32)
-    true = np.stack([info["true_state"] for info in venv.reset_infos])
+    ports = np.array([port_index(info["port"]) for info in venv.unwrapped.reset_infos], np.int32)
+    true = np.stack([info["true_state"] for info in venv.unwrapped.reset_infos])
     np.testing.assert_allclose(raw[:, -4:], field_features(field, ports, true[:, :3].astype(np.float32)), atol=1e-4)
     distance = np.linalg.norm(true[:, :3] - goal_poses()[ports, :3], axis=1)
     assert (raw[:, -1] * 225.0 > 0.99 * distance).all(), "no way is shorter than the straight one"

@@ -184,6 +184,7 @@ def _train(preset: str):
         """
         del preset
         _compilation_cache()
+        _cpu_devices(config.devices)
         from owm.commands import train as run
 
         run(data, out, config)
@@ -266,6 +267,14 @@ def _option(arguments: list[str], name: str) -> str:
         if word.startswith(name + "="):
             return word.partition("=")[2]
     return ""
+
+
+def _cpu_devices(count: int | None) -> None:
+    """Let JAX take the CPU for several devices, one a core; has no effect on accelerators."""
+    import jax
+
+    if count and count > 1 and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        jax.config.update("jax_num_cpu_devices", count)
 
 
 def _compilation_cache() -> None:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.model.hub import is_repository, local_folder
+from owm.model.hub import PRETRAINED, is_repository, local_folder
 from owm_envs.config import DockingConfig
 
 
@@ -91,7 +91,7 @@ def kind_of(policy: str) -> str:
         if kind_of(_folder(policy)) != "least-squares":
             raise ValueError(f"{_ONLINE} starts from a least-squares fit, which {_folder(policy)!r} is not")
         return _ONLINE
-    if os.path.exists(policy) or is_repository(policy):
+    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
         header = _checkpoint(policy) / "config.json"
         try:
             found = json.loads(header.read_text(encoding="utf-8"))
