@@ -39,7 +39,7 @@ _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
-    "constant velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
+    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
@@ -50,9 +50,9 @@ GIVEN: dict[str, Given] = {
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
-NAMES = (*SCRIPTED, "oracle-mppi")
+NAMES = (*SCRIPTED, "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
-_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant velocity"}
+_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant-velocity"}
 
 
 def is_planned(kind: str) -> bool:
@@ -162,6 +162,10 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.baselines.exact import ExactDynamics
 
         return ExactDynamics(config.fidelity, config)
+    if policy == "constant-velocity":
+        from owm.baselines.constant_velocity import ConstantVelocity
+
+        return ConstantVelocity()
     if kind in _KINDS.values():
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
