@@ -18,6 +18,7 @@ from owm.baselines.exact import ExactDynamics
 from owm.model.config import preset
 from owm.model.linear import LinearMap
 from owm.model.streams.kinematic import Statistics
+from owm.model.track import FilterStatistics
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.policy import PlannerPolicy
 from owm_envs.config import load_config
@@ -35,9 +36,8 @@ def untrained(name: str) -> LearnedWorldModel:
         jnp.zeros((3, 15), jnp.float32),
     )
     one = jnp.ones((), jnp.float32)
-    statistics = Statistics(
-        linear, jnp.full(6, 1e-4, jnp.float32), jnp.full(6, 500.0, jnp.float32), 100 * one, one, one
-    )
+    filters = FilterStatistics(jnp.ones(4, jnp.float32), jnp.full(4, 1e-4, jnp.float32), jnp.ones(12, jnp.float32))
+    statistics = Statistics(linear, filters, jnp.full(6, 500.0, jnp.float32), 100 * one, one, one)
     network = Network(config, key=jax.random.key(0))
     return LearnedWorldModel(config, Params(network, statistics), name=f"learned, {name}")
 

@@ -100,26 +100,41 @@ def evaluate_matrix(
 
 def evaluate_prediction(
     models: Annotated[tuple[str, ...], tyro.conf.Positional],
-    data: Path,
-    split: str = "val",
-    windows: int = 512,
+    data: tuple[Path, ...],
+    split: str | None = None,
+    windows: int = 256,
+    spread_windows: int = 48,
+    samples: int = 199,
     seed: int = 0,
     out: Path = Path("runs/evaluate"),
 ) -> None:
-    """Score open-loop predictions by horizon on recorded episodes, constant velocity beside them.
+    """Score open-loop predictions by horizon on recorded flights, and how well their spread is calibrated.
+
+    Constant velocity, least squares, the Kalman filter and the exact dynamics are scored beside them.
 
     Args:
-        models: Folders of checkpoints, or oracle-mppi for the exact dynamics.
-        data: Dataset to predict.
-        split: Its split.
-        windows: How many windows to draw.
-        seed: Decides which.
-        out: Folder for table and picture.
+        models: Folders of checkpoints, or constant-velocity, least-squares, least-squares-action-only, ekf, exact.
+        data: Datasets to predict.
+        split: Their split; by default the flights that training sets aside.
+        windows: Windows of behaviour and of planner-style flights in each dataset.
+        spread_windows: Windows to draw samples in.
+        samples: Trajectories to draw in each.
+        seed: Decides the windows.
+        out: Folder for JSON and pictures.
     """
     _compilation_cache()
-    from owm.commands import evaluate_prediction as run
+    from owm.predictors import evaluate_prediction as run
 
-    run(models, data, split=split, windows=windows, seed=seed, out=out)
+    run(
+        models,
+        data,
+        split=split,
+        windows=windows,
+        spread_windows=spread_windows,
+        samples=samples,
+        seed=seed,
+        out=out,
+    )
 
 
 def demo(

@@ -1,6 +1,5 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,14 +12,14 @@ from owm.evaluation.flights import Flights, write_results
 from owm.evaluation.matrix import Matrix, Study, read_matrix, study_keys
 from owm.evaluation.matrix_report import write_matrix_report
 from owm.evaluation.matrix_run import run_matrix
-from owm.evaluation.plots import prediction_figure, save_figure, trajectory_figure
+from owm.evaluation.plots import save_figure, trajectory_figure
 from owm.evaluation.prediction import PredictionError, prediction_error
 from owm.evaluation.report import Table
-from owm.evaluation.tables import docking_table, port_table, prediction_table
-from owm.files import slug, write_atomically
+from owm.evaluation.tables import docking_table, port_table
+from owm.files import slug
 from owm.planning.config import PlannerConfig
-from owm.policies import kind_of, load_model, load_policy
-from owm.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
+from owm.policies import kind_of, load_policy
+from owm.recordings import corpus_facts, training_episodes
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
 from owm_envs.station import PORT_NAMES
@@ -216,44 +215,6 @@ def _run_and_report(matrix, out: Path, command: str, *, conditions=CONDITIONS, *
     if not flown:
         raise ValueError(f"{out} holds no complete row to report on")
     return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command), flown
-
-
-def evaluate_prediction(
-    models: Sequence[str],
-    data: Path,
-    *,
-    split: str = "val",
-    windows: int = 512,
-    seed: int = 0,
-    out: Path = Path("runs/evaluate"),
-) -> list[PredictionError]:
-    """Score open-loop predictions on a recorded dataset, constant velocity beside them.
-
-    Args:
-        models: checkpoints, or "oracle-mppi" for the exact dynamics.
-        data: the dataset.
-        split: its split.
-        windows: how many to draw.
-        seed: decides which.
-        out: folder for table and picture.
-
-    Raises:
-        ValueError, FileNotFoundError: no such model, dataset or split, or episodes too short.
-    """
-    from owm.baselines.constant_velocity import ConstantVelocity
-
-    loaded = [load_model(model, evaluation_config()) for model in models]
-    if windows < 1:
-        raise ValueError(f"windows must be at least 1, got {windows}")
-    episodes = at_model_rate(read_recordings(data, split))
-    errors = predict([*loaded, ConstantVelocity()], episodes, windows, seed)
-    out = Path(out)
-    rows = [row for each in errors for row in each.rows()]
-    write_atomically(out / "prediction.json", lambda file: json.dump(rows, file, indent=1), text=True)
-    save_figure(prediction_figure({f"{data} {split}": errors}), out / "prediction.png")
-    print_table(prediction_table(errors), "mean prediction error")
-    print(out / "prediction.json", out / "prediction.png", sep="\n")
-    return errors
 
 
 def predict(models, episodes, windows: int, seed: int = 0, progress=None) -> list[PredictionError]:

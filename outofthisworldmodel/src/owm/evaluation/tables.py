@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from owm.evaluation.calibration import Calibration
 from owm.evaluation.flights import TOLERANCES, Flights, join, score, succeeded
-from owm.evaluation.prediction import PredictionError
+from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.report import Table
 from owm.evaluation.statistics import Pairs, holm, rate, seeded_rate
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
@@ -236,6 +237,31 @@ def prediction_table(errors: Sequence[PredictionError], seconds: Sequence[float]
                 cells.append("–")
         rows.append([each.name, *cells])
     return Table(["position m / attitude deg at", *(f"{s:g} s" for s in seconds)], rows)
+
+
+def error_table(errors: Sequence[PredictionError], seconds: Sequence[float] = (1, 4, 16)) -> Table:
+    """Mean errors of all four kinds of each model at some horizons."""
+    rows = []
+    for each in errors:
+        at = [each.horizons.index(round(s / each.dt)) for s in seconds]
+        means = np.array([each.mean(quantity) for quantity in QUANTITIES])
+        rows.append([each.name, *(" / ".join(f"{mean:.2g}" for mean in means[:, i]) for i in at)])
+    return Table(["m / m/s / deg / deg/s at", *(f"{s:g} s" for s in seconds)], rows)
+
+
+def calibration_table(calibrations: Sequence[Calibration], seconds: Sequence[float] = (0.25, 1, 4, 16)) -> Table:
+    """Coverage, CRPS and spread over error of position and attitude at some horizons."""
+    rows = []
+    for each in calibrations:
+        for k, kind, unit in ((0, "position", "m"), (2, "attitude", "deg")):
+            for s in seconds:
+                i = each.horizons.index(round(s / each.dt))
+                cover = " / ".join(f"{100 * c:.0f}" for c in each.coverage[i, k])
+                ratio = each.spread[i, k] / max(each.error[i, k], 1e-12)
+                cells = [f"{s:g}", cover, f"{each.crps[i, k]:.3g} {unit}", f"{ratio:.2f}"]
+                rows.append([f"{each.name} ({each.outcome})", kind, *cells])
+    levels = " / ".join(f"{100 * level:g}" for level in calibrations[0].levels)
+    return Table(["model (against)", "of", "horizon s", f"coverage of {levels} %", "CRPS", "spread / error"], rows)
 
 
 def to_rich(table: Table, title: str = ""):
