@@ -204,7 +204,6 @@ def evaluate_matrix(
 
 
 def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
-    announce("compiling simulator and policies, once: later runs find them in the cache ...")
     said = ""
     with bar("flying", "flights") as update:
 

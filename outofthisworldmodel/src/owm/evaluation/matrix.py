@@ -48,6 +48,8 @@ class Study(Frozen):
     """Policies to compare every other with, start by start."""
     figures: bool = False
     """Draw curves by tolerance, by port and by range."""
+    draw: tuple[str, ...] = ()
+    """Rows of these, by the names that the report gives them; those of the first planner variant when empty."""
     trajectories: tuple[str, ...] = ()
     """Rows to draw, by the names that the report gives them."""
 
