@@ -88,7 +88,9 @@ def test_a_run_learns_and_publishes_its_best(uninterrupted):
 def test_sampled_rollouts_are_spread_as_the_measurements_are(uninterrupted, episodes):
     """Short as the training was: the spread neither collapses nor walks away over 32 steps."""
     windows = episodes.windows(CONFIG.model.history_length + 32, 64, seed=3)
-    result = calibration(uninterrupted[0].model, windows, (1, 8, 32), samples=39, outcome="measurement", levels=(0.5, 0.9))
+    result = calibration(
+        uninterrupted[0].model, windows, (1, 8, 32), samples=39, outcome="measurement", levels=(0.5, 0.9)
+    )
     position, velocity = result.coverage[:, 0], result.coverage[:, 1]
     for covered in (position, velocity):
         assert (np.abs(covered[:, 0] - 0.5) < 0.15).all()

@@ -20,6 +20,7 @@ from owm.evaluation.tables import docking_table, port_table
 from owm.files import slug
 from owm.planning.config import PlannerConfig
 from owm.policies import kind_of, load_policy
+from owm.ppo.config import PPOConfig
 from owm.recordings import corpus_facts, training_episodes
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
@@ -40,6 +41,37 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig) -> None:
     about = {"corpus": [corpus_facts(path) for path in data]}
     result = run(config, episodes, val, out, console=console, about=about)
     print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")
+
+
+def train_ppo(out: Path, config: PPOConfig) -> None:
+    """Train the PPO baseline.
+
+    Raises:
+        ValueError: Stable-Baselines3 is missing, or `out` holds another run.
+    """
+    try:
+        import stable_baselines3  # noqa: F401
+    except ImportError as error:
+        raise ValueError(f"train-ppo needs ({error}): pip install 'outofthisworldmodel[ppo]'") from error
+    from owm.ppo.train import train_ppo as run
+
+    announce("compiling the simulator ...")
+    last = run(config, out, console)
+    print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
+
+
+def presets() -> None:
+    """Print the training presets: their model, its trained parameters by part, and how they train."""
+    from owm.model.world_model import parameter_counts
+    from owm.training.config import PRESETS
+
+    rows = []
+    for name, config in PRESETS.items():
+        model, counts = config.model, parameter_counts(config.model)
+        size = f"{model.width} x {model.blocks}, {model.heads} heads, window {model.window}"
+        parts = ", ".join(f"{part.replace('_', ' ')} {count:,}" for part, count in counts.items())
+        rows.append([name, model.stream, size, f"{sum(counts.values()):,}", parts])
+    print_table(Table(["preset", "stream", "width x blocks", "parameters", "of which"], rows), "training presets")
 
 
 def fly(

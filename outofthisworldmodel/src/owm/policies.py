@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.model.hub import is_repository, local_folder
+from owm.model.hub import PRETRAINED, is_repository, local_folder
 from owm_envs.config import DockingConfig
 
 
@@ -41,6 +41,8 @@ GIVEN: dict[str, Given] = {
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
+    "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
+    "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
     "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
@@ -71,10 +73,13 @@ def kind_of(policy: str) -> str:
         return policy
     if policy == "least-squares":
         raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
-    if os.path.exists(policy) or is_repository(policy):
+    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
         header = _checkpoint(policy) / "config.json"
         try:
-            kind = json.loads(header.read_text(encoding="utf-8"))["kind"]
+            found = json.loads(header.read_text(encoding="utf-8"))
+            kind = found["kind"]
+            if kind == "ppo":
+                return "ppo-field" if found["about"]["observe_field"] else "ppo"
         except (OSError, ValueError, KeyError, TypeError):
             raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
         if kind not in _KINDS:
@@ -88,9 +93,10 @@ def kind_of(policy: str) -> str:
 
 
 def _checkpoint(path: str) -> Path:
-    """The model's folder: the one named, or `model` in the folder of a training run, or a download from the hub."""
+    """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
     folder = local_folder(path)
-    return folder / "model" if (folder / "model" / "config.json").is_file() else folder
+    inside = (folder / part for part in ("model", "policy"))
+    return next((part for part in inside if (part / "config.json").is_file()), folder)
 
 
 def load_policy(
@@ -121,12 +127,20 @@ def load_policy(
     env = DockingEnv(config)
     if kind in SCRIPTED:
         return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
-    from owm.planning.policy import PlannerPolicy
     from owm_envs.geodesic import load_field
+
+    name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
+    if kind in ("ppo", "ppo-field"):
+        from owm.ppo.policy import PPOPolicy
+
+        flown = PPOPolicy(_checkpoint(policy), config, num_slots, (field or load_field()) if kind == "ppo-field" else None)
+        flown.name = name
+        return flown
+    from owm.planning.policy import PlannerPolicy
 
     field = load_field() if field is None else field
     made = PlannerPolicy(load_model(policy, config), field, env, planner, num_slots, seed)
-    made.name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
+    made.name = name
     return made
 
 
