@@ -194,14 +194,15 @@ def given_of(matrix: Matrix, key: Key) -> Given:
 
 def _tokens(given: Given) -> str:
     words = []
-    if given.hull != "no":
-        words.append("clearance" if given.hull.startswith("clearance") else "field, clearance")
+    if not given.hull.startswith("no"):
+        words.append("clearance" if given.hull.startswith("clearance") else given.hull.removeprefix("yes: geodesic "))
     words += ["exact dynamics"] if "simulator" in given.motion else []
     words += ["mass"] if given.mass == "yes" else []
+    words += ["orbital dynamics"] if "Clohessy" in given.motion else []
     words += ["noise model"] if given.noise != "no" else []
     words += ["corrector"] if given.feedback.startswith("yes: bias") else []
-    words += ["feedback"] if given.feedback not in ("no", "") and not given.feedback.startswith("yes: bias") else []
-    words += ["corpus"] if given.data != "nothing" else []
+    words += [given.feedback.removeprefix("yes: ")] if given.feedback != "no" and "bias corr" not in given.feedback else []
+    words += [] if given.data == "nothing" else ["corpus"] if given.data.startswith("corpus") else ["reward"]
     return ", ".join(words) or "goal only"
 
 

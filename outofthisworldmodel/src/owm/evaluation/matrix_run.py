@@ -204,10 +204,12 @@ def content_digest(source: str) -> str:
     """Fingerprint of a policy: its name, or what its checkpoint holds."""
     if source in NAMES:
         return source
-    folder = local_folder(source)
+    # A prefix says how a fit is flown: least-squares-online:FOLDER.
+    prefix, _, path = source.rpartition(":")
+    folder = local_folder(path)
     inside = (folder / part for part in ("model", "policy"))
     folder = next((part for part in inside if (part / "config.json").is_file()), folder)
-    sha = sha256()
+    sha = sha256(prefix.encode())
     for file in sorted(path for path in folder.rglob("*") if path.is_file()):
         sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
     return sha.hexdigest()[:16]
