@@ -82,6 +82,7 @@ def evaluate_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    prediction: Path | None = None,
 ) -> None:
     """Fly a declared table of policies, planner variants and conditions, and report on it.
 
@@ -91,11 +92,12 @@ def evaluate_matrix(
         slots: Most flights side by side.
         fresh: Fly again what OUT holds of other settings.
         fly: Or only report on what is complete.
+        prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
     """
     _compilation_cache()
     from owm.commands import evaluate_matrix as run
 
-    run(table, out=out, slots=slots, fresh=fresh, fly=fly)
+    run(table, out=out, slots=slots, fresh=fresh, fly=fly, prediction=prediction)
 
 
 def evaluate_prediction(

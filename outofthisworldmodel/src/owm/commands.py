@@ -14,6 +14,7 @@ from owm.evaluation.matrix_report import write_matrix_report
 from owm.evaluation.matrix_run import run_matrix
 from owm.evaluation.plots import save_figure, trajectory_figure
 from owm.evaluation.prediction import PredictionError, prediction_error
+from owm.evaluation.prediction_report import prediction_blocks
 from owm.evaluation.report import Table
 from owm.evaluation.tables import docking_table, port_table
 from owm.files import slug
@@ -207,6 +208,7 @@ def evaluate_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    prediction: Path | None = None,
 ) -> None:
     """Fly a declared table of policies, planner variants and conditions, and report on it.
 
@@ -216,13 +218,15 @@ def evaluate_matrix(
         slots: most flights side by side.
         fresh: fly again what `out` holds of other settings.
         fly: or only report on the rows that are complete.
+        prediction: folder of `owm evaluate prediction`, for the report.
 
     Raises:
         ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
     """
-    matrix = read_matrix(Path(table))
-    command = f"owm evaluate matrix {Path(table).name}"
-    files, flown = _run_and_report(matrix, Path(out), command, slots=slots, fresh=fresh, fly=fly)
+    matrix, out = read_matrix(Path(table)), Path(out)
+    command = f"owm evaluate matrix {Path(table).name} --slots {slots}"
+    extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
+    files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly)
     for study in matrix.studies:
         rows = [flown[key] for key in study_keys(matrix, study) if key in flown]
         if rows:
@@ -231,8 +235,7 @@ def evaluate_matrix(
         print(file)
 
 
-def _run_and_report(matrix, out: Path, command: str, *, conditions=CONDITIONS, **options):
-    announce("compiling simulator and policies, once: later runs find them in the cache ...")
+def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
     said = ""
     with bar("flying", "flights") as update:
 
@@ -246,7 +249,7 @@ def _run_and_report(matrix, out: Path, command: str, *, conditions=CONDITIONS, *
         flown = run_matrix(matrix, out, conditions=conditions, report=report, **options)
     if not flown:
         raise ValueError(f"{out} holds no complete row to report on")
-    return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command), flown
+    return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command, extra=extra), flown
 
 
 def predict(models, episodes, windows: int, seed: int = 0, progress=None) -> list[PredictionError]:

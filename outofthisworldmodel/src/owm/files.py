@@ -26,6 +26,11 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, te
         partial.unlink(missing_ok=True)
 
 
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"
+
+
 def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> None:
     """Write a folder of files beside `path`, then move it into place; one that is there is replaced."""
     path = Path(path)
@@ -40,8 +45,3 @@ def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> No
         path.rename(old)
     fresh.rename(path)
     shutil.rmtree(old, ignore_errors=True)
-
-
-def slug(name: str) -> str:
-    """A name as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"

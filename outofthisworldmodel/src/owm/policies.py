@@ -39,7 +39,6 @@ _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
-    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "least-squares-online": Given(
         _MAP, f"{_KINEMATICS} fitted, then again in flight", _PROFILE, "no", "no", f"{_CORRECTOR}; action map", "corpus"
     ),
@@ -52,6 +51,7 @@ GIVEN: dict[str, Given] = {
         "yes: state estimate",
         "nothing",
     ),
+    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
     "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
@@ -64,7 +64,7 @@ GIVEN: dict[str, Given] = {
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
-NAMES = (*SCRIPTED, "ekf-mpc", "constant-velocity", "oracle-mppi")
+NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 _ONLINE = "least-squares-online"
 _KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant-velocity"}
@@ -213,7 +213,7 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.baselines.constant_velocity import ConstantVelocity
 
         return ConstantVelocity()
-    if is_planned(kind):
+    if kind in (*_KINDS.values(), _ONLINE):
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
 
