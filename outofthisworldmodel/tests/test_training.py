@@ -173,7 +173,8 @@ def test_both_kinds_of_flights_choose_the_best(uninterrupted, episodes):
     planned = episodes.flown_by(["excite"])
     assert set(planned.policies) == {"excite"} and len(planned) + len(episodes.flown_by(["excite"], others=True)) == 8
     for line in lines(out):
-        assert line["score"] == pytest.approx((line["behaviour/score"] + line["planner/score"]) / 2)
+        parts = [line[f"{kind}/{part}"] for kind in sets for part in ("score", "energy")]
+        assert line["score"] == pytest.approx(np.mean(parts))
     assert set(validation_sets(CONFIG, episodes.flown_by(["dock"]))) == {"behaviour"}
     assert episodes.flown_by(["nobody"]) is None
 
