@@ -125,6 +125,6 @@ class LearnedWorldModel:
 
 
 def _cast(params: Params, tree: Any) -> Any:
-    """Bring measurements to the dtype of the weights."""
-    dtype = params.network.kind.dtype
+    """Bring measurements to the dtype of the statistics, that of the weights but where training lowers those."""
+    dtype = params.statistics.action_scale.dtype
     return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
