@@ -16,30 +16,21 @@ import numpy as np
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.exact import ExactDynamics
 from owm.model.config import preset
-from owm.model.linear import LinearMap
-from owm.model.streams.kinematic import Statistics
-from owm.model.track import FilterStatistics
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.policy import PlannerPolicy
 from owm_envs.config import load_config
 from owm_envs.geodesic import load_field
 
 
-def untrained(name: str) -> LearnedWorldModel:
-    """A learned model of a preset's size with random weights and the action map of the default chaser."""
-    config = preset(name)
-    inertia = np.array([12_000.0] * 3 + [80_000.0, 80_000.0, 50_000.0])
-    linear = LinearMap(
-        jnp.asarray(np.diag(config.dt / inertia), jnp.float32),
-        jnp.zeros(6, jnp.float32),
-        jnp.zeros((3, 6), jnp.float32),
-        jnp.zeros((3, 15), jnp.float32),
-    )
-    one = jnp.ones((), jnp.float32)
-    filters = FilterStatistics(jnp.ones(4, jnp.float32), jnp.full(4, 1e-4, jnp.float32), jnp.ones(12, jnp.float32))
-    statistics = Statistics(linear, filters, jnp.full(6, 500.0, jnp.float32), 100 * one, one, one)
+def untrained(name: str, **changes) -> LearnedWorldModel:
+    """A learned model of a preset's size, with random weights and statistics that keep its numbers finite."""
+    config = preset(name).model_copy(update=changes)
+    shapes = STREAMS[config.stream].skeleton(jnp.float32)
+    # Maps are matrices, scales are not.
+    numbers = jax.tree.map(lambda x: jnp.full(x.shape, 1e-5 if len(x.shape) == 2 else 1.0, x.dtype), shapes)
     network = Network(config, key=jax.random.key(0))
-    return LearnedWorldModel(config, Params(network, statistics), name=f"learned, {name}")
+    return LearnedWorldModel(config, Params(network, numbers), name=f"{config.stream}, {name}")
 
 
 def measure(model, field, repeats: int) -> dict[str, float | str]:
@@ -70,6 +61,7 @@ def main() -> None:
         ExactDynamics("iss-hcw"),
         ExactDynamics("iss-numerical"),
         untrained("nano"),
+        untrained("nano", stream="latent"),
         untrained("small"),
     ]
     rows = [measure(model, field, repeats) for model in models]

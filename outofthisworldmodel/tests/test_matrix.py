@@ -45,6 +45,8 @@ def test_rows_are_policies_times_planners_times_conditions_each_once(table):
     assert len({row.folder for row in rows_of(table)}) == 4
     seeds = table.model_copy(update={"policies": {"exact": ("oracle-mppi", "oracle-mppi"), "PD": "dock"}})
     assert [row.copy for row in rows_of(seeds)] == [0, 1, 0, 1, 0, 0]
+    studies = tuple(study.model_copy(update={"seeds": 1}) for study in seeds.studies)
+    assert [row.copy for row in rows_of(seeds.model_copy(update={"studies": studies}))] == [0, 0, 0, 0]
 
 
 def test_what_a_row_was_given_leaves_out_what_its_planner_does(table):
@@ -165,5 +167,6 @@ def test_the_rest_is_estimated_from_rows_alike(table):
     assert pace.left([(pd, 1)]) is None
     pace.add(exact, 100.0, 20)
     assert pace.left([(exact, 2), (plain, 2), (pd, 1)]) == pytest.approx(25.0)
+    pace.add(pd, 20.0, 20)  # compiling
     pace.add(pd, 2.0, 20)
     assert pace.left([(heavy, 10)]) == pytest.approx(1.0)

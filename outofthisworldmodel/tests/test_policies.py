@@ -16,7 +16,9 @@ NOMINAL = np.diag(0.25 / np.array([12_000.0] * 3 + [80_000.0, 80_000.0, 50_000.0
 @pytest.fixture(scope="module")
 def fit() -> LinearMap:
     """The nominal chaser's map, without orbital terms."""
-    return LinearMap(*(jnp.asarray(x, jnp.float32) for x in (NOMINAL, np.zeros(6), np.zeros((3, 6)), np.zeros((3, 15)))))
+    return LinearMap(
+        *(jnp.asarray(x, jnp.float32) for x in (NOMINAL, np.zeros(6), np.zeros((3, 6)), np.zeros((3, 15))))
+    )
 
 
 def test_online_least_squares_finds_another_chaser_and_forgets_what_it_is_not_shown(fit):

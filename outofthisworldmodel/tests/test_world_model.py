@@ -113,8 +113,7 @@ def test_cached_rollout_equals_recomputing_everything(model, window, rolled, err
     cached = rolled(model.params, history_of(observation, action, 8, 8), action[7:])
     network, statistics = model.params
     every = jnp.ones(len(observation), bool)
-    follow = jax.jit(lambda *measured: network.stream.follow(statistics, *measured, CONFIG.dt))
-    track = follow(observation, action, every)
+    track = jax.jit(lambda o, a: network.stream.follow(statistics, o, a, every, CONFIG.dt))(observation, action)
 
     @jax.jit
     def extend(track, action, last):

@@ -25,7 +25,7 @@ def fly(
     """Fly a policy to a docking port and print how it went.
 
     Args:
-        policy: dock, dock-geodesic, random, orbit, oracle-mppi, or the folder of a checkpoint.
+        policy: dock, dock-geodesic, random, orbit, oracle-mppi, the folder of a checkpoint, or user/name on the hub.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.
@@ -82,6 +82,7 @@ def evaluate_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    prediction: Path | None = None,
 ) -> None:
     """Fly a declared table of policies, planner variants and conditions, and report on it.
 
@@ -91,11 +92,12 @@ def evaluate_matrix(
         slots: Most flights side by side.
         fresh: Fly again what OUT holds of other settings.
         fly: Or only report on what is complete.
+        prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
     """
     _compilation_cache()
     from owm.commands import evaluate_matrix as run
 
-    run(table, out=out, slots=slots, fresh=fresh, fly=fly)
+    run(table, out=out, slots=slots, fresh=fresh, fly=fly, prediction=prediction)
 
 
 def evaluate_prediction(
@@ -135,6 +137,13 @@ def evaluate_prediction(
         seed=seed,
         out=out,
     )
+
+
+def presets() -> None:
+    """Print what `owm train --preset` knows: models, their sizes and numbers of parameters."""
+    from owm.commands import presets as run
+
+    run()
 
 
 def demo(
@@ -177,11 +186,39 @@ def _train(preset: str):
         """
         del preset
         _compilation_cache()
+        _cpu_devices(config.devices)
         from owm.commands import train as run
 
         run(data, out, config)
 
     return train
+
+
+def _train_ppo(preset: str):
+    """The `train-ppo` command, its flags those of a preset."""
+    from owm.ppo.config import PRESETS, PPOConfig
+
+    start_from = preset if preset in PRESETS else "paper"
+
+    def train_ppo(
+        out: Path,
+        preset: Literal["paper", "ci"] = start_from,
+        config: Annotated[PPOConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+    ) -> None:
+        """Train the PPO baseline in Stable-Baselines3; a killed run is resumed by the same command.
+
+        Args:
+            out: Folder for policy, state, metrics and learning curve.
+            preset: Named configuration that the other flags change.
+            config: The run.
+        """
+        del preset
+        _compilation_cache()
+        from owm.commands import train_ppo as run
+
+        run(out, config)
+
+    return train_ppo
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -198,6 +235,8 @@ def main(arguments: list[str] | None = None) -> None:
         app.command(fly)
         app.command(evaluate)
         app.command(_train(_option(arguments, "--preset")), name="train")
+        app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
+        app.command(presets)
         app.command(demo)
     try:
         app.cli(prog=prog, description=description, args=arguments)
@@ -230,6 +269,14 @@ def _option(arguments: list[str], name: str) -> str:
         if word.startswith(name + "="):
             return word.partition("=")[2]
     return ""
+
+
+def _cpu_devices(count: int | None) -> None:
+    """Let JAX take the CPU for several devices, one a core; has no effect on accelerators."""
+    import jax
+
+    if count and count > 1 and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        jax.config.update("jax_num_cpu_devices", count)
 
 
 def _compilation_cache() -> None:

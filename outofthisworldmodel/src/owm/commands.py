@@ -14,11 +14,13 @@ from owm.evaluation.matrix_report import write_matrix_report
 from owm.evaluation.matrix_run import run_matrix
 from owm.evaluation.plots import save_figure, trajectory_figure
 from owm.evaluation.prediction import PredictionError, prediction_error
+from owm.evaluation.prediction_report import prediction_blocks
 from owm.evaluation.report import Table
 from owm.evaluation.tables import docking_table, port_table
 from owm.files import slug
 from owm.planning.config import PlannerConfig
 from owm.policies import kind_of, load_policy
+from owm.ppo.config import PPOConfig
 from owm.recordings import corpus_facts, training_episodes
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
@@ -39,6 +41,37 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig) -> None:
     about = {"corpus": [corpus_facts(path) for path in data]}
     result = run(config, episodes, val, out, console=console, about=about)
     print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")
+
+
+def train_ppo(out: Path, config: PPOConfig) -> None:
+    """Train the PPO baseline.
+
+    Raises:
+        ValueError: Stable-Baselines3 is missing, or `out` holds another run.
+    """
+    try:
+        import stable_baselines3  # noqa: F401
+    except ImportError as error:
+        raise ValueError(f"train-ppo needs ({error}): pip install 'outofthisworldmodel[ppo]'") from error
+    from owm.ppo.train import train_ppo as run
+
+    announce("compiling the simulator ...")
+    last = run(config, out, console)
+    print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
+
+
+def presets() -> None:
+    """Print the training presets: their model, its trained parameters by part, and how they train."""
+    from owm.model.world_model import parameter_counts
+    from owm.training.config import PRESETS
+
+    rows = []
+    for name, config in PRESETS.items():
+        model, counts = config.model, parameter_counts(config.model)
+        size = f"{model.width} x {model.blocks}, {model.heads} heads, window {model.window}"
+        parts = ", ".join(f"{part.replace('_', ' ')} {count:,}" for part, count in counts.items())
+        rows.append([name, model.stream, size, f"{sum(counts.values()):,}", parts])
+    print_table(Table(["preset", "stream", "width x blocks", "parameters", "of which"], rows), "training presets")
 
 
 def fly(
@@ -175,6 +208,7 @@ def evaluate_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    prediction: Path | None = None,
 ) -> None:
     """Fly a declared table of policies, planner variants and conditions, and report on it.
 
@@ -184,13 +218,15 @@ def evaluate_matrix(
         slots: most flights side by side.
         fresh: fly again what `out` holds of other settings.
         fly: or only report on the rows that are complete.
+        prediction: folder of `owm evaluate prediction`, for the report.
 
     Raises:
         ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
     """
-    matrix = read_matrix(Path(table))
-    command = f"owm evaluate matrix {Path(table).name}"
-    files, flown = _run_and_report(matrix, Path(out), command, slots=slots, fresh=fresh, fly=fly)
+    matrix, out = read_matrix(Path(table)), Path(out)
+    command = f"owm evaluate matrix {Path(table).name} --slots {slots}"
+    extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
+    files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly)
     for study in matrix.studies:
         rows = [flown[key] for key in study_keys(matrix, study) if key in flown]
         if rows:
@@ -199,8 +235,7 @@ def evaluate_matrix(
         print(file)
 
 
-def _run_and_report(matrix, out: Path, command: str, *, conditions=CONDITIONS, **options):
-    announce("compiling simulator and policies, once: later runs find them in the cache ...")
+def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
     said = ""
     with bar("flying", "flights") as update:
 
@@ -214,7 +249,7 @@ def _run_and_report(matrix, out: Path, command: str, *, conditions=CONDITIONS, *
         flown = run_matrix(matrix, out, conditions=conditions, report=report, **options)
     if not flown:
         raise ValueError(f"{out} holds no complete row to report on")
-    return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command), flown
+    return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command, extra=extra), flown
 
 
 def predict(models, episodes, windows: int, seed: int = 0, progress=None) -> list[PredictionError]:

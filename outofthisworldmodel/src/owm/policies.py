@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.model.hub import is_repository, local_folder
+from owm.model.hub import PRETRAINED, is_repository, local_folder
 from owm_envs.config import DockingConfig
 
 
@@ -38,9 +38,26 @@ _KINEMATICS = "kinematics of a rigid body; accelerations"
 _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "latent world model": Given(
+        _MAP, "none; products of features fitted, the rest learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"
+    ),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
-    "constant velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
+    "least-squares-online": Given(
+        _MAP, f"{_KINEMATICS} fitted, then again in flight", _PROFILE, "no", "no", f"{_CORRECTOR}; action map", "corpus"
+    ),
+    "ekf-mpc": Given(
+        "no: a sphere about the station and a corridor to the port",
+        "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
+        "yes",
+        "yes",
+        "no",
+        "yes: state estimate",
+        "nothing",
+    ),
+    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
+    "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
+    "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
     "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
@@ -50,14 +67,20 @@ GIVEN: dict[str, Given] = {
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
-NAMES = (*SCRIPTED, "oracle-mppi")
+NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
-_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant velocity"}
+_ONLINE = "least-squares-online"
+_KINDS = {
+    "learned": "world model",
+    "latent": "latent world model",
+    "least_squares": "least-squares",
+    "constant_velocity": "constant-velocity",
+}
 
 
 def is_planned(kind: str) -> bool:
     """Whether a kind of policy is a world model in the planner."""
-    return kind == "oracle-mppi" or kind in _KINDS.values()
+    return kind in ("oracle-mppi", _ONLINE, *_KINDS.values())
 
 
 def kind_of(policy: str) -> str:
@@ -69,12 +92,22 @@ def kind_of(policy: str) -> str:
     """
     if policy in NAMES:
         return policy
-    if policy == "least-squares":
-        raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
-    if os.path.exists(policy) or is_repository(policy):
+    if policy in ("least-squares", _ONLINE):
+        given = "its folder" if policy != _ONLINE else f"{_ONLINE}:FOLDER"
+        raise ValueError(f"{policy} needs a fit: give {given}, such as runs/demo/least-squares")
+    if policy.startswith(_ONLINE + ":"):
+        if kind_of(_folder(policy)) != "least-squares":
+            raise ValueError(f"{_ONLINE} starts from a least-squares fit, which {_folder(policy)!r} is not")
+        return _ONLINE
+    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
         header = _checkpoint(policy) / "config.json"
         try:
-            kind = json.loads(header.read_text(encoding="utf-8"))["kind"]
+            found = json.loads(header.read_text(encoding="utf-8"))
+            kind = found["kind"]
+            if kind == "ppo":
+                return "ppo-field" if found["about"]["observe_field"] else "ppo"
+            if kind == "learned" and found.get("config", {}).get("stream") == "latent":
+                kind = "latent"
         except (OSError, ValueError, KeyError, TypeError):
             raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
         if kind not in _KINDS:
@@ -87,10 +120,16 @@ def kind_of(policy: str) -> str:
     raise ValueError(f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint")
 
 
+def _folder(policy: str) -> str:
+    """The path in a policy's name: all of it, or what stands after "least-squares-online:"."""
+    return policy.removeprefix(_ONLINE + ":")
+
+
 def _checkpoint(path: str) -> Path:
-    """The model's folder: the one named, or `model` in the folder of a training run, or a download from the hub."""
+    """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
     folder = local_folder(path)
-    return folder / "model" if (folder / "model" / "config.json").is_file() else folder
+    inside = (folder / part for part in ("model", "policy"))
+    return next((part for part in inside if (part / "config.json").is_file()), folder)
 
 
 def load_policy(
@@ -100,7 +139,7 @@ def load_policy(
 
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
-            to fly.
+            to fly; `least-squares-online:FOLDER` estimates such a fit again in flight.
         config: the environment to fly.
         num_slots: flights side by side.
         seed: decides the policy's own draws.
@@ -121,12 +160,30 @@ def load_policy(
     env = DockingEnv(config)
     if kind in SCRIPTED:
         return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
-    from owm.planning.policy import PlannerPolicy
+    if kind == "ekf-mpc":
+        from owm.baselines.classical import classical_policy
+
+        return VectorPolicy(classical_policy(env), seed=seed)
     from owm_envs.geodesic import load_field
 
-    field = load_field() if field is None else field
-    made = PlannerPolicy(load_model(policy, config), field, env, planner, num_slots, seed)
-    made.name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
+    name = kind if kind in (policy, _ONLINE) else "/".join(Path(policy).parts[-2:])
+    if field is None and kind != "ppo":
+        field = load_field()
+    if kind in ("ppo", "ppo-field"):
+        from owm.ppo.policy import PPOPolicy
+
+        flown = PPOPolicy(_checkpoint(policy), config, num_slots, field if kind == "ppo-field" else None)
+        flown.name = name
+        return flown
+    from owm.planning.policy import PlannerPolicy
+
+    model, learner = load_model(policy, config), None
+    if kind == _ONLINE:
+        from owm.baselines.online import OnlineLeastSquares
+
+        learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
+    made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
+    made.name = name
     return made
 
 
@@ -162,11 +219,15 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.baselines.exact import ExactDynamics
 
         return ExactDynamics(config.fidelity, config)
-    if kind in _KINDS.values():
+    if policy == "constant-velocity":
+        from owm.baselines.constant_velocity import ConstantVelocity
+
+        return ConstantVelocity()
+    if kind in (*_KINDS.values(), _ONLINE):
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
 
-        folder = _checkpoint(policy)
+        folder = _checkpoint(_folder(policy))
         for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
             announce(f"note: {policy} {text}")
         return load_world_model(folder)

@@ -33,8 +33,8 @@ class Estimate(NamedTuple):
 class OnlineLeastSquares:
     """Follows the action map of a `LeastSquares` model by recursive least squares with forgetting.
 
-    Forgetting leads back to the fit, not to ignorance, so that what a flight does not excite neither drifts nor winds up
-    (stabilised forgetting: Kulhavy and Zarrop (1993), On a general concept of forgetting, Int. J. Control 58(4)).
+    Forgetting leads back to the fit, not to ignorance, so that what a flight does not excite neither drifts nor winds
+    up (stabilised forgetting: Kulhavy and Zarrop (1993), On a general concept of forgetting, Int. J. Control 58(4)).
     Transitions are weighed by the size of the prediction errors so far, since it is not told the sensors' noise.
 
     Args:

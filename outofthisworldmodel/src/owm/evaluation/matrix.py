@@ -20,6 +20,8 @@ PLANNERS: dict[str, dict[str, Any]] = {
     "plain": {"objective": "plain"},
     "plain, no corrector": {"objective": "plain", "corrector": False},
     "straight": {"objective": "straight"},
+    "0.25 s late": {"latency": 1},
+    "0.5 s late": {"latency": 2},
 }
 """Variants of the planner: what differs from the standard `PlannerConfig`."""
 
@@ -40,10 +42,14 @@ class Study(Frozen):
     """To each port; the matrix's when None."""
     fewer: dict[str, int] = Field(default_factory=dict)
     """Flights to each port of single rows, by "policy", "planner" or "policy, planner": the least that applies."""
+    seeds: int | None = None
+    """Trained seeds to fly of policies that have several; all when None."""
     against: tuple[str, ...] = ()
     """Policies to compare every other with, start by start."""
     figures: bool = False
     """Draw curves by tolerance, by port and by range."""
+    draw: tuple[str, ...] = ()
+    """Rows of these, by the names that the report gives them; those of the first planner variant when empty."""
     trajectories: tuple[str, ...] = ()
     """Rows to draw, by the names that the report gives them."""
 
@@ -149,7 +155,7 @@ def rows_of(matrix: Matrix) -> list[Row]:
         for label, planner, condition in study_keys(matrix, study):
             known = [study.fewer[k] for k in (label, planner, f"{label}, {planner}") if k in study.fewer]
             asked = min([study.flights or matrix.flights, *known])
-            for copy, source in enumerate(matrix.sources(label)):
+            for copy, source in enumerate(matrix.sources(label)[: study.seeds]):
                 key = (label, planner, condition, copy)
                 flights = max(asked, rows[key].flights if key in rows else 0)
                 rows[key] = Row(label, source, copy, planner, condition, flights)

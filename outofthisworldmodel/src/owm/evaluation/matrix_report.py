@@ -7,6 +7,7 @@ import json
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ Key = tuple[str, str | None, str]
 Flown = Mapping[Key, Sequence[Flights]]
 DEFINITIONS = {"1 m": (1.0, False), "strict": (0.1, True)}
 """What paired comparisons count as success, always without a collision: tolerance m, and whether bounds hold, too."""
-_MOST_DRAWN, _MOST_FAILURES = 6, 40
+_MOST_DRAWN, _MOST_FAILURES = 8, 40
 
 
 def write_matrix_report(
@@ -71,7 +72,7 @@ def write_matrix_report(
 def compare(matrix: Matrix, study: Study, flown: Flown) -> dict[str, list[Pairs]]:
     """Every row of a study against its references under the same condition, by definition of success.
 
-    A reference is flown by the same planner variant, or else by its own only one.
+    Of a reference the row with the same planner variant is taken, or else its first.
     """
     keys = [key for key in study_keys(matrix, study) if key in flown]
     families: dict[str, list[Pairs]] = {name: [] for name in DEFINITIONS}
@@ -79,9 +80,8 @@ def compare(matrix: Matrix, study: Study, flown: Flown) -> dict[str, list[Pairs]
         label, planner, condition = key
         known = [k for k in keys if k[0] == reference and k[2] == condition]
         same = [k for k in known if k[1] == planner] or known[:1]
-        if label == reference or (
-            label in study.against and study.against.index(label) > study.against.index(reference)
-        ):
+        # Two references meet once.
+        if label == reference or not same or label in study.against[study.against.index(reference) :]:
             continue
         for name, (tolerance, full) in DEFINITIONS.items():
             one, other = (
@@ -132,11 +132,15 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
         given = {row_name(*key): _tokens(given_of(matrix, key)) for key in keys}
         if len(study.conditions) > 1:
             yield Heading(condition, 3)
-        yield docking_table(rows, given=given, by_split=True)
+        table = docking_table(rows, given=given, by_split=True)
+        # The columns are explained once.
+        yield table if study is matrix.studies[0] and condition == study.conditions[0] else replace(table, caption="")
     if families["1 m"]:
         yield Heading(f"{study.title}: paired comparisons", 3)
         yield pairs_table(list(families.items()))
-    drawn = [flown[key][0] for key in keys if key[2] == study.conditions[0]][:_MOST_DRAWN]
+    first = [key for key in keys if key[2] == study.conditions[0] and key[1] in (None, study.planners[0])]
+    drawn = [flown[key][0] for key in keys if row_name(*key) in study.draw] or [flown[key][0] for key in first]
+    drawn = drawn[:_MOST_DRAWN]
     if study.figures:
         yield from _figures(drawn, figures, slug(study.title))
     if drawn and study.figures:
@@ -168,10 +172,11 @@ def _figures(drawn: Sequence[Flights], figures: Path, name: str) -> Iterator[Blo
 
 
 def _failed(drawn: Sequence[Flights]) -> Iterator[Block]:
-    table = failures(drawn)
+    table = failures([each for each in drawn if succeeded(each, 1.0).mean() >= 0.5])
     if table.rows:
         more = len(table.rows) - _MOST_FAILURES
-        caption = table.caption + (f" {more} more of them are left out." if more > 0 else "")
+        caption = table.caption.rstrip(".") + ", of policies that failed less than half of the time."
+        caption += f" {more} more of them are left out." if more > 0 else ""
         yield Table(table.columns, table.rows[:_MOST_FAILURES], caption)
 
 
@@ -189,14 +194,17 @@ def given_of(matrix: Matrix, key: Key) -> Given:
 
 def _tokens(given: Given) -> str:
     words = []
-    if given.hull != "no":
-        words.append("clearance" if given.hull.startswith("clearance") else "field, clearance")
+    if not given.hull.startswith("no"):
+        words.append("clearance" if given.hull.startswith("clearance") else given.hull.removeprefix("yes: geodesic "))
     words += ["exact dynamics"] if "simulator" in given.motion else []
     words += ["mass"] if given.mass == "yes" else []
+    words += ["orbital dynamics"] if "Clohessy" in given.motion else []
     words += ["noise model"] if given.noise != "no" else []
     words += ["corrector"] if given.feedback.startswith("yes: bias") else []
-    words += ["feedback"] if given.feedback not in ("no", "") and not given.feedback.startswith("yes: bias") else []
-    words += ["corpus"] if given.data != "nothing" else []
+    words += (
+        [given.feedback.removeprefix("yes: ")] if given.feedback != "no" and "bias corr" not in given.feedback else []
+    )
+    words += [] if given.data == "nothing" else ["corpus"] if given.data.startswith("corpus") else ["reward"]
     return ", ".join(words) or "goal only"
 
 

@@ -274,7 +274,7 @@ def speed_figure(flights: Sequence[Flights]) -> Figure:
         low, high = ([row[key] for row in rows] for key in ("p10", "p90"))
         axes.fill_between(middle, low, high, color=color, alpha=0.12, lw=0)
     axes.axhspan(0.05, 0.10, color=_FAINT, alpha=0.25, lw=0, zorder=0)
-    axes.text(0.105, 0.066, "closing speed of the docking standard", fontsize=8, color=_INK)
+    axes.text(280, 0.07, "closing speed of the docking standard", fontsize=8, color=_INK, va="center")
     axes.set(xscale="log", yscale="log", xlabel="range to the hold pose [m]", ylabel="speed [m/s]")
     axes.set_xlim(0.1, 300)
     axes.invert_xaxis()

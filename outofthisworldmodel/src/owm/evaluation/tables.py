@@ -62,10 +62,9 @@ def docking_table(
                 percent(seeded_rate(strict)),
                 *([" / ".join(percent(seeded_rate(part), False) for part in splits)] if by_split else []),
                 percent(seeded_rate([one.collided for one in seeds]), by_split),
-                percent(scores["escape"], False),
-                percent(scores["timeout"], False),
+                f"{percent(scores['escape'], False)} / {percent(scores['timeout'], False)}",
                 percent(scores["idss_or_slower"], False),
-                _number(scores["safe_share"], "{:.0%}"),
+                "–" if scores["safe_share"] is None else f"{_whole(100 * scores['safe_share'])} %",
                 _number(scores["median_time"], "{:.0f}"),
                 _number(scores["median_delta_v"], "{:.1f}"),
                 _number(scores["least_clearance"], "{:.2f}"),
@@ -80,8 +79,7 @@ def docking_table(
         "strict, no collision",
         *(["strict, train / held out"] if by_split else []),
         "collided",
-        "escaped",
-        "timed out",
+        "escaped / timed out",
         "IDSS or slower",
         "safe coasts",
         "time s",
@@ -191,10 +189,9 @@ def condition_table(
         seeds = [cells.get((policy, condition), ()) for condition in conditions]
         hits = [[succeeded(one, tolerance, full=full) for one in some] for some in seeds]
         rows.append([policy, *(percent(seeded_rate(some)) if some else "–" for some in hits)])
-    kind = "all bounds" if full else "position only"
-    return Table(
-        ["policy", *conditions], rows, f"Flights within {tolerance:g} m ({kind}) with no collision; {INTERVALS}."
-    )
+    kind, several = "all bounds" if full else "position only", any(len(seeds) > 1 for seeds in cells.values())
+    caption = f"Flights within {tolerance:g} m ({kind}) with no collision; {SEEDED if several else INTERVALS}."
+    return Table(["policy", *conditions], rows, caption)
 
 
 def pairs_table(families: Sequence[tuple[str, Sequence[Pairs]]]) -> Table:

@@ -34,8 +34,9 @@ class ModelConfig(BaseModel):
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
-    head: Literal["flow", "mean-flow"] = "mean-flow"
-    """What the head learns: the plain rectified flow, or one whose single evaluations are samples (`FlowHead`)."""
+    head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
+    """What the head learns: the plain rectified flow by its clean end or by its velocity, or a mean flow, whose single
+    evaluations are samples (`FlowHead`)."""
     head_steps: PositiveInt = 1
     """Evaluations of the head that a sample takes."""
 
@@ -54,10 +55,19 @@ PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
     "paper": ModelConfig(
-        width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2, head="flow"
+        stream="latent",
+        skip="none",
+        width=128,
+        blocks=4,
+        heads=8,
+        window=32,
+        mlp_ratio=4,
+        head_width=128,
+        head_blocks=2,
+        head="velocity",
     ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the widths of the publication."""
+"""Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""
 
 
 def preset(name: str) -> ModelConfig:

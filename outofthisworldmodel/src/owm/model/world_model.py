@@ -39,6 +39,12 @@ class Network(eqx.Module):
         return jnp.concatenate([self.stream.tokens(statistics, carry), action[None]]) + self.kind
 
 
+def parameter_counts(config: ModelConfig) -> dict[str, int]:
+    """Return how many numbers training changes, by part of the network."""
+    network = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0)))
+    return {name: sum(leaf.size for leaf in jax.tree.leaves(part)) for name, part in vars(network).items()}
+
+
 class Params(NamedTuple):
     """Everything traced: what training changes and what it measured."""
 
@@ -119,6 +125,6 @@ class LearnedWorldModel:
 
 
 def _cast(params: Params, tree: Any) -> Any:
-    """Bring measurements to the dtype of the weights."""
-    dtype = params.network.kind.dtype
+    """Bring measurements to the dtype of the statistics, that of the weights but where training lowers those."""
+    dtype = params.statistics.action_scale.dtype
     return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)

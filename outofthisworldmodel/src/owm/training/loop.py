@@ -105,7 +105,7 @@ def train(
 
     def lowered(batch: int) -> Any:
         """The costliest step at a batch size, to be compiled."""
-        settled = config.settled(windows, batch, devices).model_copy(update={"steps": 1, "teacher": 0.0})
+        settled = config.settled(windows, batch, devices)
         state = jax.eval_shape(lambda: initial_state(settled, dtype))
         model = LearnedWorldModel(config.model, Params(state.network, statistics), name)
         return train_chunk.lower(
