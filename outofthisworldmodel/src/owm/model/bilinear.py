@@ -8,13 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-_RATE = np.arange(15, 18)
-# Products: matrix with rate and action, rate with itself and the action; of equal pairs one. Columns 18 to 23: action.
-_LEFT, _RIGHT = np.array(
-    [(i, j) for i in np.arange(6, 18) for j in np.arange(15, 24) if i not in _RATE or j >= i]
-).T  # fmt: skip
-COLUMNS = 1 + 24 + len(_LEFT)
-"""Inputs of the map: one, features, action, products."""
+COLUMNS = 1 + 24 + 9 * 9 + 9 + 8 + 7
+"""Inputs of the map: one, features, action, products of matrix with rate and action, of rate with both, pairs once."""
 SIGNIFICANT = 5.0
 """Standard errors that a coefficient has to differ from zero by."""
 
@@ -27,7 +22,10 @@ def bilinear_inputs(features: Float[Array, "*n 18"], action: Float[Array, "*n 6"
         action: force and torque, scaled.
     """
     both = jnp.concatenate([features, action], axis=-1)
-    return jnp.concatenate([jnp.ones_like(both[..., :1]), both, both[..., _LEFT] * both[..., _RIGHT]], axis=-1)
+    pairs = both[..., 6:18, None] * both[..., None, 15:24]
+    matrix = pairs[..., :9, :].reshape(*both.shape[:-1], 81)
+    rate = [pairs[..., 9 + i, i:] for i in range(3)]
+    return jnp.concatenate([jnp.ones_like(both[..., :1]), both, matrix, *rate], axis=-1)
 
 
 def bilinear_change(

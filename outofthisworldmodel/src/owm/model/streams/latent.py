@@ -58,13 +58,14 @@ def features(view: Float[Array, "13"], anchor: Float[Array, "7"]) -> Float[Array
     return jnp.concatenate([view[:3] - anchor[:3], view[3:6], rotation(view[6:10]).reshape(9), view[10:]])
 
 
-def embedding(width: int) -> Float[np.ndarray, "18 d"]:
-    """Return orthonormal rows for the features of each token: cosines, without the constant.
+def embedding(width: int) -> Float[np.ndarray, "18 4*d"]:
+    """Return orthonormal rows that lay each feature out in its token: cosines, without the constant.
 
     Source: the discrete cosine transform II.
     """
     order = np.concatenate([1 + np.arange(size) for size in SIZES])
-    return np.sqrt(2 / width) * np.cos(np.pi * np.outer(order, np.arange(width) + 0.5) / width)
+    rows = np.sqrt(2 / width) * np.cos(np.pi * np.outer(order, np.arange(width) + 0.5) / width)
+    return (_MEMBERS.T[:, :, None] * rows[:, None]).reshape(_FEATURES, -1)
 
 
 class LatentStream(eqx.Module):
@@ -126,12 +127,11 @@ class LatentStream(eqx.Module):
 
     def embed(self, features: Float[Array, "18"]) -> Float[Array, "4 d"]:
         """Lay scaled features out in their tokens, the linear part of the encoder."""
-        table = jnp.asarray(embedding(self.width), features.dtype)
-        return jnp.asarray(_MEMBERS, features.dtype) @ (features[:, None] * table)
+        return (features @ jnp.asarray(embedding(self.width), features.dtype)).reshape(len(SIZES), -1)
 
     def read(self, tokens: Float[Array, "4 d"]) -> Float[Array, "18"]:
         """Return the scaled features that lie in the tokens, the linear part of the decoder; undoes `embed`."""
-        return jnp.sum(tokens[_OWNER] * jnp.asarray(embedding(self.width), tokens.dtype), axis=-1)
+        return jnp.asarray(embedding(self.width), tokens.dtype) @ tokens.reshape(-1)
 
     def follow(
         self,
