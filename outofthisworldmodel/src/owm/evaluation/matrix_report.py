@@ -29,7 +29,7 @@ from owm.evaluation.tables import (
     port_table,
 )
 from owm.files import slug, write_atomically
-from owm.policies import GIVEN, GIVEN_COLUMNS, Given, kind_of
+from owm.policies import GIVEN, GIVEN_COLUMNS, Given, checkpoint_folder, kind_of
 
 Key = tuple[str, str | None, str]
 Flown = Mapping[Key, Sequence[Flights]]
@@ -183,8 +183,14 @@ def _failed(drawn: Sequence[Flights]) -> Iterator[Block]:
 def given_of(matrix: Matrix, key: Key) -> Given:
     """What a row was given: its policy's, less what its planner variant leaves out."""
     label, planner, _ = key
-    given = GIVEN[kind_of(matrix.sources(label)[0])]
-    planner = planner or ""
+    source, planner = matrix.sources(label)[0], planner or ""
+    kind = kind_of(source)
+    given = GIVEN[kind]
+    if kind == "world model":
+        about = json.loads((checkpoint_folder(source) / "config.json").read_text(encoding="utf-8"))["config"]
+        stream, backbone = about["stream"], about.get("backbone", "transformer")
+        prior = "no: all learned" if stream == "latent" else given.motion
+        given = given._replace(motion=f"{prior} ({stream} stream, {backbone})")
     if "plain" in planner or "straight" in planner:
         given = given._replace(hull="clearance only, no field")
     if "no corrector" in planner:
@@ -193,17 +199,19 @@ def given_of(matrix: Matrix, key: Key) -> Given:
 
 
 def _tokens(given: Given) -> str:
-    words = []
-    if not given.hull.startswith("no"):
-        words.append("clearance" if given.hull.startswith("clearance") else given.hull.removeprefix("yes: geodesic "))
-    words += ["exact dynamics"] if "simulator" in given.motion else []
-    words += ["mass"] if given.mass == "yes" else []
-    words += ["orbital dynamics"] if "Clohessy" in given.motion else []
-    words += ["noise model"] if given.noise != "no" else []
-    words += ["corrector"] if given.feedback.startswith("yes: bias") else []
-    words += [given.feedback.removeprefix("yes: ")] if given.feedback != "no" and "bias corr" not in given.feedback else []
-    words += [] if given.data == "nothing" else ["corpus"] if given.data.startswith("corpus") else ["reward"]
-    return ", ".join(words) or "goal only"
+    """What a row was given, in a few words for a column."""
+    feedback = given.feedback.removeprefix("yes: ").replace("bias ", "")
+    words = {
+        given.hull.removeprefix("yes: geodesic "): not given.hull.startswith("no"),
+        "keep-out sphere": "sphere" in given.hull,
+        "exact dynamics": "simulator" in given.motion,
+        "orbital dynamics": "Clohessy" in given.motion,
+        "mass": given.mass == "yes",
+        "noise model": given.noise != "no",
+        feedback: feedback != "no",
+        given.data.partition(" ")[0].rstrip(",").replace("flying", "reward"): given.data != "nothing",
+    }
+    return ", ".join(word for word, said in words.items() if said) or "goal only"
 
 
 def _given(matrix: Matrix, flown: Flown) -> Iterator[Block]:
