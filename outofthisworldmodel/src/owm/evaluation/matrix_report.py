@@ -11,11 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int
+
 from owm import __version__
 from owm.evaluation.conditions import CONDITIONS, Condition
 from owm.evaluation.docking import check_identical_starts
 from owm.evaluation.flights import Flights, join, score, score_groups, speed_by_range, succeeded
-from owm.evaluation.matrix import Matrix, Study, row_name, study_keys
+from owm.evaluation.matrix import Matrix, Study, flights_asked, row_name, study_keys
 from owm.evaluation.paper import DIFFERENCES, NOT_ALIKE, PLANNER_BY_PORT, PPO_BY_PORT, paper_table
 from owm.evaluation.plots import port_figure, save_figure, speed_figure, tolerance_figure, trajectory_figure
 from owm.evaluation.report import Block, Bullets, Code, Heading, Picture, Table, Text, write_report
@@ -60,13 +63,32 @@ def write_matrix_report(
     Raises:
         ValueError: rows of a study did not fly the same starts.
     """
-    comparisons = {study.title: compare(matrix, study, flown) for study in matrix.studies}
+    comparisons = {}
     blocks: list[Block] = [Text(_opening(matrix, flown, conditions))]
     for study in matrix.studies:
-        blocks += _study(matrix, study, flown, out / "figures", conditions, comparisons[study.title])
+        wanted = _wanted(matrix, study, flown)
+        comparisons[study.title] = compare(matrix, study, wanted)
+        blocks += _study(matrix, study, wanted, out / "figures", conditions, comparisons[study.title])
     blocks += [*_given(matrix, flown), *_paper(matrix, flown), *extra, *_run(matrix, out, commands)]
     files = write_report(matrix.title, blocks, out)
     return [*files, _write_csv(flown, out), _write_json(matrix, flown, out, comparisons)]
+
+
+def _wanted(matrix: Matrix, study: Study, flown: Flown) -> Flown:
+    """A study's rows, and of those that another study flies more often the first trials of each port."""
+    rows = {}
+    for key in study_keys(matrix, study):
+        count = flights_asked(matrix, study, key)
+        if key in flown:
+            seeds = flown[key][: study.seeds]
+            rows[key] = [each.select(_trial(each) < count) for each in seeds]
+    return rows
+
+
+def _trial(flights: Flights) -> Int[np.ndarray, "N"]:
+    """Which flight to its port each one is, from 0, in the order of the seeds."""
+    order = np.argsort(np.argsort(flights.seed, kind="stable"), kind="stable")
+    return np.array([np.sum((flights.port == port) & (order < rank)) for port, rank in zip(flights.port, order)])
 
 
 def compare(matrix: Matrix, study: Study, flown: Flown) -> dict[str, list[Pairs]]:

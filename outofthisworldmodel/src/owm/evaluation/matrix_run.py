@@ -20,7 +20,7 @@ from owm.evaluation.flights import Flights, join
 from owm.evaluation.matrix import PLANNERS, Matrix, Row, row_name, rows_of
 from owm.files import write_atomically
 from owm.planning.config import PlannerConfig
-from owm.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, load_policy
+from owm.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, load_model, load_policy
 from owm.stages import source_digest
 from owm_envs.config import unknown
 
@@ -94,6 +94,9 @@ def run_matrix(
             raise ValueError(unknown("condition", row.condition, conditions))
     stores = [Store(out, row, conditions[row.condition], matrix, fresh=fresh) for row in rows]
     pace = Pace()
+    to_fly = [store for store in stores if fly and store.row.planner and store.missing()]
+    for source, told in {store.row.source: store.condition.told() for store in to_fly}.items():
+        load_model(source, told)  # so that one that cannot be read is told of now, not after an hour of flying
     for store in stores:
         for seconds in store.seconds.values():
             pace.add(store.row, seconds, store.row.flights)
