@@ -11,7 +11,7 @@ import pytest
 from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 
-STEPS, BATCH, DRAWS = 2000, 256, 8192
+STEPS, BATCH, DRAWS = 1200, 192, 8192
 # A correlated Gaussian: standard deviations along oblique axes.
 SPREAD = np.linspace(0.6, 1.3, 6)
 AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))[0]

@@ -6,14 +6,17 @@ import numpy as np
 import optax
 import pytest
 
+from owm import cli
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.evaluation.prediction import prediction_error
 from owm.model.bilinear import COLUMNS, bilinear_inputs, fit_bilinear_map
 from owm.model.checkpoint import load_world_model, save_world_model
 from owm.model.config import PRESETS, ModelConfig
+from owm.model.flow import FlowHead
 from owm.model.kinematics import quaternion, rotation, view_error
 from owm.model.streams.latent import LatentStream, features
 from owm.model.world_model import LearnedWorldModel, Network, Params, parameter_counts
+from owm.policies import kind_of
 from owm.training.loss import draw, window_losses
 
 CONFIG = ModelConfig(stream="latent", width=16, heads=2, window=4, head_width=16, history_length=4)
@@ -85,7 +88,7 @@ def test_untrained_it_predicts_by_its_map(untrained, episodes):
 
 def test_latents_do_not_collapse_in_training(statistics, episodes):
     """Without the map, where making targets easy would pay most."""
-    config = CONFIG.model_copy(update={"skip": "none"})
+    config = CONFIG.model_copy(update={"skip": "none", "head": "flow"})
     network = jax.jit(lambda: Network(config, key=jax.random.key(2)))()
     model = LearnedWorldModel(config, Params(network, statistics))
     windows = episodes.windows(4 + DEPTH, 64, seed=3)
@@ -133,12 +136,26 @@ def test_latents_do_not_collapse_in_training(statistics, episodes):
 
 
 def test_it_survives_the_disk(untrained, tmp_path):
-    loaded = load_world_model(save_world_model(untrained, tmp_path / "m"), expect=CONFIG)
+    folder = save_world_model(untrained, tmp_path / "m")
+    loaded = load_world_model(folder, expect=CONFIG)
     for a, b in zip(jax.tree.leaves(loaded.params), jax.tree.leaves(untrained.params), strict=True):
         np.testing.assert_array_equal(a, b)
+    assert kind_of(str(folder)) == "latent world model", "reports say what it was given, and that is no kinematics"
 
 
-def test_parameters_are_counted_and_narrow_tokens_refused():
+def test_the_published_loss_is_that_of_the_velocity():
+    head = FlowHead(PRESETS["paper"], 3, jnp.float32, key=jax.random.key(0))
+    residual, noise = jax.random.normal(jax.random.key(1), (2, 4, 3), jnp.float32)
+    context = jnp.ones((4, 128), jnp.float32)
+    # Untrained it gives the velocity zero, so that the error is the path's own velocity whatever the level.
+    for level in (0.01, 0.5, 0.99):
+        loss = head.loss(residual, context, jnp.full(3, level, jnp.float32), noise)
+        np.testing.assert_allclose(loss, jnp.mean((noise - residual) ** 2), rtol=1e-3)
+
+
+def test_parameters_are_counted_and_narrow_tokens_refused(capsys):
+    cli.main(["presets"])
+    assert "latent" in capsys.readouterr().out
     counts = parameter_counts(PRESETS["paper"])
     assert set(counts) == {"stream", "action_encoder", "kind", "backbone", "head"}
     assert 1e6 < sum(counts.values()) < 6.4e6, "the publication's 6.4 million include the image stream"

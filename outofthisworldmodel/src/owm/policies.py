@@ -38,6 +38,9 @@ _KINEMATICS = "kinematics of a rigid body; accelerations"
 _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "latent world model": Given(
+        _MAP, "none; products of features fitted, the rest learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"
+    ),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "least-squares-online": Given(
         _MAP, f"{_KINEMATICS} fitted, then again in flight", _PROFILE, "no", "no", f"{_CORRECTOR}; action map", "corpus"
@@ -68,7 +71,12 @@ NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 _ONLINE = "least-squares-online"
 ONLINE_PREFIX = f"{_ONLINE}:"
-_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant-velocity"}
+_KINDS = {
+    "learned": "world model",
+    "latent": "latent world model",
+    "least_squares": "least-squares",
+    "constant_velocity": "constant-velocity",
+}
 
 
 def is_planned(kind: str) -> bool:
@@ -99,6 +107,8 @@ def kind_of(policy: str) -> str:
             kind = found["kind"]
             if kind == "ppo":
                 return "ppo-field" if found["about"]["observe_field"] else "ppo"
+            if kind == "learned" and found.get("config", {}).get("stream") == "latent":
+                kind = "latent"
         except (OSError, ValueError, KeyError, TypeError):
             raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
         if kind not in _KINDS:

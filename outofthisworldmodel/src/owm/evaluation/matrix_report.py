@@ -208,11 +208,9 @@ def given_of(matrix: Matrix, key: Key) -> Given:
     source, planner = matrix.sources(label)[0], planner or ""
     kind = kind_of(source)
     given = GIVEN[kind]
-    if kind == "world model":
+    if kind.endswith("world model"):
         about = json.loads((checkpoint_folder(source) / "config.json").read_text(encoding="utf-8"))["config"]
-        stream, backbone = about["stream"], about.get("backbone", "transformer")
-        prior = "no: all learned" if stream == "latent" else given.motion
-        given = given._replace(motion=f"{prior} ({stream} stream, {backbone})")
+        given = given._replace(motion=f"{given.motion} ({about['stream']} stream, {about['backbone']})")
     if "plain" in planner or "straight" in planner:
         given = given._replace(hull="clearance only, no field")
     if "no corrector" in planner:

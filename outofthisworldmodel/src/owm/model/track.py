@@ -102,9 +102,14 @@ def next_gain(statistics: FilterStatistics, track: Track) -> Float[Array, "4"]:
     return variance / (variance + 1.0)
 
 
+def innovation_variance(statistics: FilterStatistics, track: Track) -> Float[Array, "4"]:
+    """Return the nominal variance of the next innovation on one axis."""
+    return track.noise / (1.0 - next_gain(statistics, track))
+
+
 def innovation_scale(statistics: FilterStatistics, track: Track) -> Float[Array, "12"]:
     """Return the deviation of the next innovation: m, m/s, rad, rad/s."""
-    return _axes(jnp.sqrt(track.noise / (1.0 - next_gain(statistics, track)))) * statistics.shape
+    return _axes(jnp.sqrt(innovation_variance(statistics, track))) * statistics.shape
 
 
 def correct(statistics: FilterStatistics, track: Track, predicted: Motion, innovation: Float[Array, "12"]) -> Track:
@@ -193,6 +198,7 @@ def fit_filter(episodes: Episodes, linear: LinearMap) -> FilterStatistics:
         scores = [np.log(np.asarray(squares(jnp.asarray(p, dtype))[0][:, k], np.float64)).mean() for p in tried]
         process[k] = choices[int(np.argmin(scores))]
     noise = np.exp(np.log(np.asarray(squares(jnp.asarray(process, dtype))[1], np.float64)).mean(axis=0))
+    noise = np.maximum(noise, 1e-18)  # the noise of nothing but rounding
     statistics = FilterStatistics(jnp.asarray(process, dtype), jnp.asarray(noise, dtype), jnp.ones(12, dtype))
     innovation = np.asarray(tracks(statistics).innovation[:, 1:], np.float64)
     shape = np.sqrt(np.mean(innovation**2, axis=(0, 1)))

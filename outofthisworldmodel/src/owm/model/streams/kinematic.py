@@ -13,7 +13,6 @@ from owm.model.config import ModelConfig
 from owm.model.kinematics import (
     advance,
     apply_inverse,
-    decode_penalty,
     motion_error,
     multiply,
     rotation,
@@ -30,6 +29,7 @@ from owm.model.track import (
     fit_filter,
     follow,
     innovation_scale,
+    innovation_variance,
     next_gain,
     observe,
 )
@@ -181,8 +181,10 @@ class KinematicStream(eqx.Module):
         return {"state": to_view(track.view)}
 
     def decode_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
-        """Compare a prediction with a measurement."""
-        return decode_penalty(motion_error(track.view, to_motion(view, track.view.anchor)))
+        """Compare a prediction with a measurement: quadratic up to three innovations of an axis, linear beyond."""
+        error = motion_error(track.view, to_motion(view, track.view.anchor))
+        # What counts is what grows beyond the noise, however small that is.
+        return jnp.mean(jnp.sqrt(1.0 + error / (9.0 * innovation_variance(statistics.filter, track))) - 1.0)
 
     def round_trip_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
         """Return zero: nothing is lost on the way from view to track and back."""

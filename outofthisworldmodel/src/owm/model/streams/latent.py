@@ -72,6 +72,8 @@ class LatentStream(eqx.Module):
 
     Encoder and decoder are perceptrons beside a fixed isometry between features and tokens: it keeps a token from
     losing a feature or shrinking, so that latents cannot collapse while targets have a scale that is measured once.
+    Velocity and attitude are in the station's axes: in those of the window's first pose, orbital and gyroscopic terms
+    would be products of three features, which the map has not.
     A token's next value is its own, plus what a least-squares map of the encoded features gives (unless
     `config.skip` is "none"), plus what the flow head predicts.
     """
@@ -151,13 +153,15 @@ class LatentStream(eqx.Module):
 
     def _encode(self, statistics: Statistics, view: Array, anchor: Array) -> Latent:
         scaled = features(view, anchor) / statistics.feature_scale[_OWNER]
-        return Latent(anchor, self.embed(scaled) + self.encoder(scaled).reshape(len(SIZES), -1))
+        learned = self._scale(statistics) * self.encoder(scaled).reshape(len(SIZES), -1)
+        return Latent(anchor, self.embed(scaled) + learned)
 
     def tokens(self, statistics: Statistics, carry: Latent) -> Float[Array, "4 d"]:
         """Return the tokens, and where their positions count from."""
         return carry.tokens + self.context(carry.anchor[:3] / statistics.feature_scale[0])
 
     def _scale(self, statistics: Statistics) -> Float[Array, "4 1"]:
+        """Return the size of residuals. All that is learned is counted in it, so that it begins small."""
         scale = statistics.change_scale if self.skip == "none" else statistics.residual_scale
         return scale[:, None] * self.width**-0.5
 
@@ -195,7 +199,8 @@ class LatentStream(eqx.Module):
 
     def decoded(self, statistics: Statistics, carry: Latent) -> Float[Array, "18"]:
         """Return the features that the tokens stand for, SI; their rotation matrix is one only nearly."""
-        return (self.read(carry.tokens) + self.decoder(carry.tokens.reshape(-1))) * statistics.feature_scale[_OWNER]
+        learned = self._scale(statistics)[_OWNER, 0] * self.decoder(carry.tokens.reshape(-1))
+        return (self.read(carry.tokens) + learned) * statistics.feature_scale[_OWNER]
 
     def decode(self, statistics: Statistics, carry: Latent) -> dict[str, Array]:
         """Return the view, its quaternion that of the nearest rotation, on the anchor's side of the sphere."""
