@@ -141,8 +141,10 @@ def lerobot(session: nox.Session) -> None:
 
 @nox.session
 def sb3(session: nox.Session) -> None:
-    """Test the adapter with the real Stable-Baselines3, its example and video recorders (brings torch: large)."""
+    """Test adapter and PPO baseline with the real Stable-Baselines3, and video recorders (brings torch: large)."""
     envs = _editable("sb3,test", "outofthisworldmodel-envs")
-    _install(session, *_editable("", "astrojax"), *envs, "matplotlib>=3.8", "moviepy>=2")
+    owm = _editable("ppo,test", "outofthisworldmodel")
+    _install(session, *_editable("", "astrojax"), *envs, *owm, "matplotlib>=3.8", "moviepy>=2")
     cache = {name: os.environ.get(name, value) for name, value in JAX_CACHE.items()}
-    session.run("pytest", "outofthisworldmodel-envs/tests_sb3", *session.posargs, env=cache)
+    tests = ("outofthisworldmodel-envs/tests_sb3", "outofthisworldmodel/tests_ppo")
+    session.run("pytest", *tests, *session.posargs, env=cache)

@@ -26,17 +26,14 @@ from owm_envs.geodesic import load_field, solve_field
 from owm_envs.station import PORTS, goal_poses, hull_boxes
 
 
-def untrained(name: str) -> LearnedWorldModel:
-    """A learned model of a preset's size with random weights and the action map of the default chaser."""
-    config = preset(name)
-    stream = STREAMS[config.stream]
-    statistics = jax.tree.map(lambda x: jnp.ones(x.shape, x.dtype), stream.skeleton(jnp.float32))
-    if hasattr(statistics, "linear"):
-        inertia = np.array([12_000.0] * 3 + [80_000.0, 80_000.0, 50_000.0])
-        none = jax.tree.map(jnp.zeros_like, statistics.linear)
-        action = jnp.asarray(np.diag(config.dt / inertia), jnp.float32)
-        statistics = statistics._replace(linear=none._replace(action=action))
-    return LearnedWorldModel(config, Params(Network(config, key=jax.random.key(0)), statistics), f"learned, {name}")
+def untrained(name: str, **changes) -> LearnedWorldModel:
+    """A learned model of a preset's size, with random weights and statistics that keep its numbers finite."""
+    config = preset(name).model_copy(update=changes)
+    shapes = STREAMS[config.stream].skeleton(jnp.float32)
+    # Maps are matrices, scales are not.
+    numbers = jax.tree.map(lambda x: jnp.full(x.shape, 1e-5 if len(x.shape) == 2 else 1.0, x.dtype), shapes)
+    network = Network(config, key=jax.random.key(0))
+    return LearnedWorldModel(config, Params(network, numbers), name=f"{config.stream}, {name}")
 
 
 def replans(model, field, repeats: int, slots: int) -> tuple[list[float], float]:
@@ -89,6 +86,7 @@ def main() -> None:
         ExactDynamics("iss-hcw"),
         ExactDynamics("iss-numerical"),
         untrained("nano"),
+        untrained("nano", stream="latent"),
         untrained("small"),
     ]
     rows = [measure(model, field, repeats) for model in models]

@@ -17,6 +17,7 @@ from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
 from owm.data import Episodes
+from owm.evaluation.calibration import calibration
 from owm.evaluation.prediction import window_errors
 from owm.model.checkpoint import CheckpointError, load_world_model
 from owm.model.config import ModelConfig
@@ -82,6 +83,22 @@ def test_a_run_learns_and_publishes_its_best(uninterrupted):
     published = load_world_model(result.model_dir, expect=CONFIG.model)
     for a, b in zip(jax.tree.leaves(published.params), jax.tree.leaves(result.model.params), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_sampled_rollouts_are_spread_as_the_measurements_are(uninterrupted, episodes):
+    """Short as the training was: the spread neither collapses nor walks away over 32 steps."""
+    windows = episodes.windows(CONFIG.model.history_length + 32, 64, seed=3)
+    result = calibration(
+        uninterrupted[0].model, windows, (1, 8, 32), samples=39, outcome="measurement", levels=(0.5, 0.9)
+    )
+    position, velocity = result.coverage[:, 0], result.coverage[:, 1]
+    for covered in (position, velocity):
+        assert (np.abs(covered[:, 0] - 0.5) < 0.15).all()
+        assert (np.abs(covered[:, 1] - 0.9) < 0.1).all()
+    ratio = (result.spread / result.error)[:, :2]
+    assert (0.7 < ratio).all() and (ratio < 1.4).all()
+    point = result.error[:, 0].mean()
+    assert (result.crps[:, 0] < 0.45 * point).all(), "a point forecast's would be about half of the error's norm"
 
 
 def test_one_rollout_length_compiles_once(uninterrupted):

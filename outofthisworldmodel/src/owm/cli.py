@@ -25,7 +25,7 @@ def fly(
     """Fly a policy to a docking port and print how it went.
 
     Args:
-        policy: dock, dock-geodesic, random, orbit, oracle-mppi, or the folder of a checkpoint.
+        policy: dock, dock-geodesic, random, orbit, oracle-mppi, the folder of a checkpoint, or user/name on the hub.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.
@@ -42,7 +42,7 @@ def fly(
 
 
 def evaluate() -> None:
-    """Score policies (`owm evaluate docking`) or predictions (`owm evaluate prediction`)."""
+    """Score policies (`owm evaluate docking`, `owm evaluate matrix`) or predictions (`owm evaluate prediction`)."""
 
 
 def evaluate_docking(
@@ -52,8 +52,9 @@ def evaluate_docking(
     seed: int = 0,
     shell: Shell = "100-225",
     noise: str = "cooperative",
-    slots: int = 40,
+    slots: int = 50,
     out: Path = Path("runs/evaluate"),
+    fresh: bool = False,
 ) -> None:
     """Score policies by the evaluation protocol: identical starts, fourteen definitions of success.
 
@@ -65,36 +66,84 @@ def evaluate_docking(
         shell: Distance from the station at the start, m.
         noise: Sensor noise: none, cooperative or noncooperative.
         slots: Most flights side by side.
-        out: Folder for tables and pictures.
+        out: Folder for flights, report and pictures; a killed run goes on where it was.
+        fresh: Fly again what OUT holds of other settings.
     """
     _compilation_cache()
     from owm.commands import evaluate_docking as run
 
-    run(policies, flights=flights, ports=ports, seed=seed, shell=shell, noise=noise, slots=slots, out=out)
+    scored = {"flights": flights, "ports": ports, "seed": seed, "shell": shell, "noise": noise}
+    run(policies, **scored, slots=slots, out=out, fresh=fresh)
+
+
+def evaluate_matrix(
+    table: Annotated[Path, tyro.conf.Positional],
+    out: Path = Path("runs/matrix"),
+    slots: int = 50,
+    fresh: bool = False,
+    fly: bool = True,
+    prediction: Path | None = None,
+) -> None:
+    """Fly a declared table of policies, planner variants and conditions, and report on it.
+
+    Args:
+        table: TOML file: policies, and studies of them.
+        out: Folder for flights, report and pictures; a killed run goes on where it was.
+        slots: Most flights side by side.
+        fresh: Fly again what OUT holds of other settings.
+        fly: Or only report on what is complete.
+        prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
+    """
+    _compilation_cache()
+    from owm.commands import evaluate_matrix as run
+
+    run(table, out=out, slots=slots, fresh=fresh, fly=fly, prediction=prediction)
 
 
 def evaluate_prediction(
     models: Annotated[tuple[str, ...], tyro.conf.Positional],
-    data: Path,
-    split: str = "val",
-    windows: int = 512,
+    data: tuple[Path, ...],
+    split: str | None = None,
+    windows: int = 256,
+    spread_windows: int = 48,
+    samples: int = 199,
     seed: int = 0,
     out: Path = Path("runs/evaluate"),
 ) -> None:
-    """Score open-loop predictions by horizon on recorded episodes, constant velocity beside them.
+    """Score open-loop predictions by horizon on recorded flights, and how well their spread is calibrated.
+
+    Constant velocity, least squares, the Kalman filter and the exact dynamics are scored beside them.
 
     Args:
-        models: Folders of checkpoints, or oracle-mppi for the exact dynamics.
-        data: Dataset to predict.
-        split: Its split.
-        windows: How many windows to draw.
-        seed: Decides which.
-        out: Folder for table and picture.
+        models: Folders of checkpoints, or constant-velocity, least-squares, least-squares-action-only, ekf, exact.
+        data: Datasets to predict.
+        split: Their split; by default the flights that training sets aside.
+        windows: Windows of behaviour and of planner-style flights in each dataset.
+        spread_windows: Windows to draw samples in.
+        samples: Trajectories to draw in each.
+        seed: Decides the windows.
+        out: Folder for JSON and pictures.
     """
     _compilation_cache()
-    from owm.commands import evaluate_prediction as run
+    from owm.predictors import evaluate_prediction as run
 
-    run(models, data, split=split, windows=windows, seed=seed, out=out)
+    run(
+        models,
+        data,
+        split=split,
+        windows=windows,
+        spread_windows=spread_windows,
+        samples=samples,
+        seed=seed,
+        out=out,
+    )
+
+
+def presets() -> None:
+    """Print what `owm train --preset` knows: models, their sizes and numbers of parameters."""
+    from owm.commands import presets as run
+
+    run()
 
 
 def demo(
@@ -137,11 +186,39 @@ def _train(preset: str):
         """
         del preset
         _compilation_cache()
+        _cpu_devices(config.devices)
         from owm.commands import train as run
 
         run(data, out, config)
 
     return train
+
+
+def _train_ppo(preset: str):
+    """The `train-ppo` command, its flags those of a preset."""
+    from owm.ppo.config import PRESETS, PPOConfig
+
+    start_from = preset if preset in PRESETS else "paper"
+
+    def train_ppo(
+        out: Path,
+        preset: Literal["paper", "ci"] = start_from,
+        config: Annotated[PPOConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+    ) -> None:
+        """Train the PPO baseline in Stable-Baselines3; a killed run is resumed by the same command.
+
+        Args:
+            out: Folder for policy, state, metrics and learning curve.
+            preset: Named configuration that the other flags change.
+            config: The run.
+        """
+        del preset
+        _compilation_cache()
+        from owm.commands import train_ppo as run
+
+        run(out, config)
+
+    return train_ppo
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -151,12 +228,15 @@ def main(arguments: list[str] | None = None) -> None:
     app, prog, description = tyro.extras.SubcommandApp(), "owm", "A world model of spacecraft rendezvous."
     if arguments[:1] == ["evaluate"]:
         app.command(evaluate_docking, name="docking")
+        app.command(evaluate_matrix, name="matrix")
         app.command(evaluate_prediction, name="prediction")
         arguments, prog, description = arguments[1:], "owm evaluate", evaluate.__doc__
     else:
         app.command(fly)
         app.command(evaluate)
         app.command(_train(_option(arguments, "--preset")), name="train")
+        app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
+        app.command(presets)
         app.command(demo)
     try:
         app.cli(prog=prog, description=description, args=arguments)
@@ -189,6 +269,14 @@ def _option(arguments: list[str], name: str) -> str:
         if word.startswith(name + "="):
             return word.partition("=")[2]
     return ""
+
+
+def _cpu_devices(count: int | None) -> None:
+    """Let JAX take the CPU for several devices, one a core; has no effect on accelerators."""
+    import jax
+
+    if count and count > 1 and "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
+        jax.config.update("jax_num_cpu_devices", count)
 
 
 def _compilation_cache() -> None:

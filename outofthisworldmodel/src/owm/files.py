@@ -1,7 +1,9 @@
-"""Files that are either whole or not there."""
+"""Files and folders that are either whole or not there."""
 
 import os
-from collections.abc import Callable
+import re
+import shutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,3 +24,24 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, te
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"
+
+
+def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> None:
+    """Write a folder of files beside `path`, then move it into place; one that is there is replaced."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fresh, old = path.with_name(path.name + ".writing"), path.with_name(path.name + ".replaced")
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir()
+    for name, data in contents.items():
+        (fresh / name).write_bytes(data)
+    shutil.rmtree(old, ignore_errors=True)
+    if path.exists():
+        path.rename(old)
+    fresh.rename(path)
+    shutil.rmtree(old, ignore_errors=True)

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.model.hub import is_repository, local_folder
+from owm.model.hub import PRETRAINED, is_repository, local_folder
 from owm_envs.config import DockingConfig
 
 
@@ -51,7 +51,10 @@ GIVEN: dict[str, Given] = {
         "yes: state estimate",
         "nothing",
     ),
+    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
+    "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
+    "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
     "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
@@ -61,10 +64,16 @@ GIVEN: dict[str, Given] = {
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
-NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi")
+NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 _ONLINE = "least-squares-online"
-_KINDS = {"learned": "world model", "least_squares": "least-squares"}
+ONLINE_PREFIX = f"{_ONLINE}:"
+_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant-velocity"}
+
+
+def is_planned(kind: str) -> bool:
+    """Whether a kind of policy is a world model in the planner."""
+    return kind in ("oracle-mppi", _ONLINE, *_KINDS.values())
 
 
 def kind_of(policy: str) -> str:
@@ -79,14 +88,17 @@ def kind_of(policy: str) -> str:
     if policy in ("least-squares", _ONLINE):
         given = "its folder" if policy != _ONLINE else f"{_ONLINE}:FOLDER"
         raise ValueError(f"{policy} needs a fit: give {given}, such as runs/demo/least-squares")
-    if policy.startswith(_ONLINE + ":"):
+    if policy.startswith(ONLINE_PREFIX):
         if kind_of(_folder(policy)) != "least-squares":
             raise ValueError(f"{_ONLINE} starts from a least-squares fit, which {_folder(policy)!r} is not")
         return _ONLINE
-    if os.path.exists(policy) or is_repository(policy):
-        header = _checkpoint(policy) / "config.json"
+    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
+        header = checkpoint_folder(policy) / "config.json"
         try:
-            kind = json.loads(header.read_text(encoding="utf-8"))["kind"]
+            found = json.loads(header.read_text(encoding="utf-8"))
+            kind = found["kind"]
+            if kind == "ppo":
+                return "ppo-field" if found["about"]["observe_field"] else "ppo"
         except (OSError, ValueError, KeyError, TypeError):
             raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
         if kind not in _KINDS:
@@ -101,16 +113,19 @@ def kind_of(policy: str) -> str:
 
 def _folder(policy: str) -> str:
     """The path in a policy's name: all of it, or what stands after "least-squares-online:"."""
-    return policy.removeprefix(_ONLINE + ":")
+    return policy.removeprefix(ONLINE_PREFIX)
 
 
-def _checkpoint(path: str) -> Path:
-    """The model's folder: the one named, or `model` in the folder of a training run, or a download from the hub."""
+def checkpoint_folder(path: str) -> Path:
+    """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
     folder = local_folder(path)
-    return folder / "model" if (folder / "model" / "config.json").is_file() else folder
+    inside = (folder / part for part in ("model", "policy"))
+    return next((part for part in inside if (part / "config.json").is_file()), folder)
 
 
-def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None) -> Any:
+def load_policy(
+    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None, field: Any = None
+) -> Any:
     """Build a policy for a batch of slots.
 
     Args:
@@ -120,6 +135,7 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
         num_slots: flights side by side.
         seed: decides the policy's own draws.
         planner: a `PlannerConfig` for planned policies; the standard one when None.
+        field: the `GeodesicField` for policies that use one; the station's own when None.
 
     Returns:
         A policy as `owm.evaluation.docking.Policy` describes it, with a `name`.
@@ -134,21 +150,31 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
 
     env = DockingEnv(config)
     if kind in SCRIPTED:
-        return VectorPolicy(make_policy(kind, env), seed=seed)
+        return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
     if kind == "ekf-mpc":
         from owm.baselines.classical import classical_policy
 
         return VectorPolicy(classical_policy(env), seed=seed)
-    from owm.planning.policy import PlannerPolicy
     from owm_envs.geodesic import load_field
+
+    name = kind if kind in (policy, _ONLINE) else "/".join(Path(policy).parts[-2:])
+    if field is None and kind != "ppo":
+        field = load_field()
+    if kind in ("ppo", "ppo-field"):
+        from owm.ppo.policy import PPOPolicy
+
+        flown = PPOPolicy(checkpoint_folder(policy), config, num_slots, field if kind == "ppo-field" else None)
+        flown.name = name
+        return flown
+    from owm.planning.policy import PlannerPolicy
 
     model, learner = load_model(policy, config), None
     if kind == _ONLINE:
         from owm.baselines.online import OnlineLeastSquares
 
         learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
-    made = PlannerPolicy(model, load_field(), env, planner, num_slots, seed, learner)
-    made.name = kind if kind in (policy, _ONLINE) else "/".join(Path(policy).parts[-2:])
+    made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
+    made.name = name
     return made
 
 
@@ -184,11 +210,15 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.baselines.exact import ExactDynamics
 
         return ExactDynamics(config.fidelity, config)
+    if policy == "constant-velocity":
+        from owm.baselines.constant_velocity import ConstantVelocity
+
+        return ConstantVelocity()
     if kind in (*_KINDS.values(), _ONLINE):
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
 
-        folder = _checkpoint(_folder(policy))
+        folder = checkpoint_folder(_folder(policy))
         for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
             announce(f"note: {policy} {text}")
         return load_world_model(folder)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
@@ -18,6 +17,7 @@ from safetensors.numpy import save as save_tensors
 
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.least_squares import LeastSquares
+from owm.files import replace_folder
 from owm.model.config import ModelConfig
 from owm.model.hub import local_folder
 from owm.model.interface import WorldModel
@@ -67,17 +67,7 @@ def save_world_model(model: WorldModel, path: str | os.PathLike, *, about: dict[
         "about": about or {},
     }
     contents["config.json"] = (json.dumps(header, indent=1) + "\n").encode()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh, old = path.with_name(path.name + ".writing"), path.with_name(path.name + ".replaced")
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir()
-    for name, data in contents.items():
-        (fresh / name).write_bytes(data)
-    shutil.rmtree(old, ignore_errors=True)
-    if path.exists():
-        path.rename(old)
-    fresh.rename(path)
-    shutil.rmtree(old, ignore_errors=True)
+    replace_folder(path, contents)
     return path
 
 

@@ -14,6 +14,8 @@ class ModelConfig(BaseModel):
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
     skip: Literal["bilinear", "none"] = "bilinear"
     """What the latent stream adds to the network's prediction: a least-squares map of its features, or nothing."""
+    backbone: Literal["transformer", "gru", "mlp"] = "transformer"
+    """What relates the tokens of a history: attention, or a recurrent or a feed-forward network of the same size."""
     dt: PositiveFloat = 0.25
     """Seconds a step."""
     history_length: PositiveInt = 8
@@ -25,15 +27,16 @@ class ModelConfig(BaseModel):
     heads: PositiveInt = 4
     """Attention heads."""
     window: PositiveInt = 8
-    """Steps that temporal attention reaches back, the current one included."""
+    """Steps that attention or the feed-forward network reach back, the current one included."""
     mlp_ratio: PositiveInt = 2
     """Hidden width of a block's perceptron, in token dimensions."""
     head_width: PositiveInt = 32
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
-    head: Literal["flow", "mean-flow"] = "mean-flow"
-    """What the head learns: the plain rectified flow, or one whose single evaluations are samples (`FlowHead`)."""
+    head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
+    """What the head learns: the plain rectified flow by its clean end or by its velocity, or a mean flow, whose single
+    evaluations are samples (`FlowHead`)."""
     head_steps: PositiveInt = 1
     """Evaluations of the head that a sample takes."""
 
@@ -51,9 +54,20 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
-    "paper": ModelConfig(width=128, blocks=4, heads=8, window=32, mlp_ratio=4, head_width=128, head_blocks=2),
+    "paper": ModelConfig(
+        stream="latent",
+        skip="none",
+        width=128,
+        blocks=4,
+        heads=8,
+        window=32,
+        mlp_ratio=4,
+        head_width=128,
+        head_blocks=2,
+        head="velocity",
+    ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the widths of the publication."""
+"""Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""
 
 
 def preset(name: str) -> ModelConfig:

@@ -22,9 +22,9 @@ class FlowHead(eqx.Module):
       conditional mean, which is the deterministic prediction;
     - for `until = 0` the end of the flow: at `tau = 1` a sample of the residual, in one evaluation.
 
-    The plain rectified flow ("flow") learns the first only. One step from noise then returns the conditional mean
-    whatever `eps` is, and what spread remains is what the head has failed to unlearn. The mean flow learns both
-    from the identity between average and instantaneous velocity.
+    The plain rectified flow ("flow", or "velocity" as published) learns the first only. One step from noise then
+    returns the conditional mean whatever `eps` is, and what spread remains is what the head has failed to unlearn.
+    The mean flow learns both from the identity between average and instantaneous velocity.
 
     Predicting `X` rather than a velocity keeps the noise out of a rollout, since residuals are small at 4 Hz. The
     output is an offset and a gain on `x_tau`, so that noise whose size depends on the context costs little width.
@@ -38,6 +38,7 @@ class FlowHead(eqx.Module):
     out: Linear
     residual: int = eqx.field(static=True)
     plain: bool = eqx.field(static=True)
+    velocity: bool = eqx.field(static=True)
 
     def __init__(self, config: ModelConfig, residual: int, dtype: jnp.dtype, *, key: Key[Array, ""]):
         k_join, k_out, *k_layers = jax.random.split(key, 2 + config.head_blocks)
@@ -48,7 +49,8 @@ class FlowHead(eqx.Module):
         # Zero at first: an untrained model predicts what its analytic and linear parts predict.
         self.out = Linear(width, 2 * residual, dtype, key=k_out, scale=0.0)
         self.residual = residual
-        self.plain = config.head == "flow"
+        self.plain = config.head != "mean-flow"
+        self.velocity = config.head == "velocity"
 
     def __call__(
         self, noised: Float[Array, "n r"], tau: Float[Array, ""], until: Float[Array, ""], context: Float[Array, "n d"]
@@ -60,7 +62,8 @@ class FlowHead(eqx.Module):
         for norm, layer in zip(self.norms, self.layers, strict=True):
             x = x + layer(norm(x))
         offset, gain = jnp.split(self.out(jax.nn.silu(x)), 2, axis=-1)
-        return offset + gain * noised
+        out = offset + gain * noised
+        return noised - tau * out if self.velocity else out
 
     def mean(self, context: Float[Array, "n d"]) -> Float[Array, "n r"]:
         """Return the expected residual."""
@@ -98,7 +101,9 @@ class FlowHead(eqx.Module):
         tau = level[0] if self.plain else jnp.maximum(level[0], level[1])
         noised = (1.0 - tau) * residual + tau * noise
         if self.plain:
-            return jnp.mean((self(noised, tau, tau, context) - residual) ** 2)
+            error = self(noised, tau, tau, context) - residual
+            # The error of the velocity, (X - x) / tau: the publication's loss.
+            return jnp.mean((error / jnp.maximum(tau, 1e-3) if self.velocity else error) ** 2)
         until = jnp.where(level[2] < SAME_LEVEL, tau, jnp.minimum(level[0], level[1]))
         clean, change = jax.jvp(
             lambda x, tau: self(x, tau, until, context), (noised, tau), (noise - residual, jnp.ones_like(tau))

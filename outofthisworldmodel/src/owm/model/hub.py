@@ -9,6 +9,8 @@ from pathlib import Path
 
 CONTENTS = ("config.json", "statistics.json", "weights.safetensors")
 """The files of a checkpoint; whatever else a repository holds is not fetched."""
+PRETRAINED = Path(__file__).parents[1] / "pretrained"
+"""Where the checkpoint lies that comes with the package, if one does."""
 _REPOSITORY = re.compile(r"(?P<name>\w[\w.-]*/\w[\w.-]*)(@(?P<revision>\w[\w./-]*))?")
 
 
@@ -22,12 +24,14 @@ def local_folder(source: str | os.PathLike) -> Path:
     """Return the folder of a checkpoint, after fetching what is missing of one on the hub.
 
     Args:
-        source: a folder, or `user/name` with an optional `@revision` (branch, tag or commit).
+        source: a folder, `user/name` with an optional `@revision` (branch, tag or commit), or "pretrained".
 
     Raises:
         FileNotFoundError: the hub has no such repository or revision, or cannot be reached.
         ImportError: `huggingface_hub` is not installed.
     """
+    if os.fspath(source) == PRETRAINED.name:
+        return PRETRAINED
     if not is_repository(source):
         return Path(source)
     try:

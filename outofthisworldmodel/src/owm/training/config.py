@@ -116,6 +116,7 @@ PRESETS: dict[str, TrainConfig] = {
         batch="auto",
         precision="bfloat16",
         rollouts=((1.0, 64),),
+        round_trip_weight=0.0,
     ),
 }
 """`ci`: about half a minute on two cores; `nano`: minutes; `small`: an hour; `paper`: an accelerator (not measured)."""

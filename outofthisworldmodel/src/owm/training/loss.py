@@ -103,5 +103,5 @@ def window_losses(
     rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[1:]))
     state = model.encode(params, history_of(observation, action, length, context))
     _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
-    round_trip = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, observation)
-    return Losses(flow, jnp.mean(decode), jnp.mean(round_trip))
+    lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, whole.observation)
+    return Losses(flow, jnp.mean(decode), jnp.mean(lost))

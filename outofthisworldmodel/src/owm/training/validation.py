@@ -1,10 +1,16 @@
-"""How good the weights are by themselves: deterministic rollouts of held-out flights of two kinds."""
+"""How good the weights are by themselves: rollouts of held-out flights of two kinds, expected and sampled."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
-from owm.data import Episodes, Windows
+from owm.data import Episodes, Windows, history_of
+from owm.evaluation.calibration import sample_views
 from owm.evaluation.prediction import window_errors
+from owm.model.kinematics import view_error
 from owm.model.world_model import LearnedWorldModel, Params
 from owm.training.config import TrainConfig
 
@@ -30,23 +36,51 @@ def validation_sets(config: TrainConfig, episodes: Episodes) -> dict[str, Window
     return sets
 
 
-def validate(model: LearnedWorldModel, params: Params, sets: dict[str, Windows]) -> dict[str, float]:
-    """Score autoregressive, deterministic predictions against the measurements; lower is better.
+@partial(jax.jit, static_argnames=("model",))
+def energy_scores(model: LearnedWorldModel, params: Params, windows: Windows) -> Float[Array, "B F 4"]:
+    """Score two sampled rollouts of every window against the measurements, SI: strictly proper, lower is better.
 
-    A kind's score is the mean over windows and horizons of the four error norms in `SCORE_UNITS`, added up; `score`,
-    which chooses the best weights, is the mean over the kinds. Errors are those at the last horizon.
+    For a model without spread it is the error. Source: Gneiting and Raftery (2007), J. Am. Stat. Assoc. 102, eq. 22.
     """
+
+    def norms(a: Array, b: Array) -> Array:
+        return jnp.linalg.norm(jax.vmap(view_error)(a, b).reshape(-1, 4, 3), axis=-1)
+
+    def one(key: Array, observation: Array, action: Array) -> Array:
+        length = model.history_length
+        history = history_of(observation, action, length, length)
+        first, second = sample_views(model, params, key, history, action[length - 1 :], 2)
+        measured = observation[length:]
+        return 0.5 * (norms(first, measured) + norms(second, measured) - norms(first, second))
+
+    keys = jax.random.split(jax.random.key(0), windows.observation.shape[0])
+    return jax.vmap(one)(keys, windows.observation, windows.action)
+
+
+def validate(model: LearnedWorldModel, params: Params, sets: dict[str, Windows]) -> dict[str, float]:
+    """Score autoregressive predictions against the measurements; lower is better.
+
+    Of a kind, `score` is the mean over windows and horizons of the four deterministic error norms in `SCORE_UNITS`,
+    added up; `energy` the same of sampled rollouts, which is lower the better their spread is. `score` alone, which
+    chooses the best weights, is the mean of all of them. Errors are those at the last horizon.
+    """
+
+    def weighed(norms: Float[np.ndarray, "B F 4"]) -> float:
+        return float(np.sum(norms.mean(axis=(0, 1)) / np.asarray(SCORE_UNITS)))
+
     line = {}
     for name, windows in sets.items():
         context = jnp.full(windows.observation.shape[0], model.history_length, jnp.int32)
         _, error = window_errors(model, params, windows, context)
         error = np.asarray(error, np.float64)
         last = error[:, -1].mean(axis=0)
+        energy = np.asarray(energy_scores(model, params, windows), np.float64)
         line |= {
-            f"{name}/score": float(np.sum(error.mean(axis=(0, 1)) / np.asarray(SCORE_UNITS))),
+            f"{name}/score": weighed(error),
+            f"{name}/energy": weighed(energy),
             f"{name}/position_m": float(last[0]),
             f"{name}/velocity_mps": float(last[1]),
             f"{name}/attitude_deg": float(np.rad2deg(last[2])),
             f"{name}/rate_degps": float(np.rad2deg(last[3])),
         }
-    return {"score": float(np.mean([line[f"{name}/score"] for name in sets]))} | line
+    return {"score": float(np.mean([line[f"{name}/{part}"] for name in sets for part in ("score", "energy")]))} | line

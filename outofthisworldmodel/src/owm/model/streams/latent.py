@@ -1,7 +1,7 @@
 """The latent stream: the tokens themselves are rolled forward, between a learned encoder and a learned decoder.
 
-A view becomes four tokens (position, velocity, attitude, rate), the next four follow from them, and only a decoder turns
-tokens into a view again. No equation of motion is given. Source: the paper, section on the architecture.
+A view becomes four tokens (position, velocity, attitude, rate), the next four follow from them, and only a decoder
+turns tokens into a view again. No equation of motion is given. Source: the paper, section on the architecture.
 """
 
 from typing import ClassVar, NamedTuple
@@ -54,7 +54,7 @@ class Latent(NamedTuple):
 
 
 def features(view: Float[Array, "13"], anchor: Float[Array, "7"]) -> Float[Array, "18"]:
-    """Return position from the anchor, velocity, rotation matrix and rate, the station's axes, SI; blind to q's sign."""
+    """Return position from the anchor, velocity, rotation matrix (station frame) and body rate, SI."""
     return jnp.concatenate([view[:3] - anchor[:3], view[3:6], rotation(view[6:10]).reshape(9), view[10:]])
 
 
@@ -99,7 +99,7 @@ class LatentStream(eqx.Module):
     @staticmethod
     def fit(episodes: Episodes) -> Statistics:
         """Measure the statistics on training episodes; measurements are used, not the truth."""
-        before, after, action = transitions(episodes)
+        before, after, action = transitions(episodes, 100_000)
         dtype = before.dtype
 
         def rms(x: Array, axis: int | None = None) -> np.ndarray:
