@@ -1,13 +1,14 @@
-"""How long one replan of one episode takes, by model: `python benchmarks/replan.py [--repeats 20]`.
+"""How long one replan of one episode takes, by model: `python benchmarks/replan.py [--repeats 1000]`.
 
-Prints a table and the same figures as JSON. Networks carry untrained weights, which take as long as trained
-ones. Every model is paired with the constant-velocity one in the same process: the planner's own share, noise
-and objective, is the time of that row.
+Prints a table and the same figures as JSON. Networks carry untrained weights, which take as long as trained ones. The
+first row, constant velocity, is the planner's own share: noise, look-ups, objective. Replans are measured alone and
+with one episode to a core side by side, as batches fly; "prepare" is what another hull and port cost: field solved and
+planner compiled, both anew.
 """
 
 import argparse
 import json
-import statistics
+import time
 
 import jax
 import jax.numpy as jnp
@@ -19,8 +20,10 @@ from owm.model.config import preset
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.policy import PlannerPolicy
+from owm_envs.adapters.batch import core_count
 from owm_envs.config import load_config
-from owm_envs.geodesic import load_field
+from owm_envs.geodesic import load_field, solve_field
+from owm_envs.station import PORTS, goal_poses, hull_boxes
 
 
 def untrained(name: str, **changes) -> LearnedWorldModel:
@@ -33,27 +36,49 @@ def untrained(name: str, **changes) -> LearnedWorldModel:
     return LearnedWorldModel(config, Params(network, numbers), name=f"{config.stream}, {name}")
 
 
-def measure(model, field, repeats: int) -> dict[str, float | str]:
-    """Milliseconds of one replan of one slot, through the policy as it flies."""
+def replans(model, field, repeats: int, slots: int) -> tuple[list[float], float]:
+    """Seconds of each replan, through the policy as it flies, and wall seconds of all but the first."""
     config = load_config(fidelity="iss-numerical", steps_per_action=5, goal_error=False)
-    policy = PlannerPolicy(model, field, config)
-    observation = np.zeros((1, policy.layout.size), np.float32)
-    observation[0, policy.layout.view] = [100.0, 60.0, -50.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
-    for _ in range(repeats + 1):
-        policy.reset(ports=[0])
+    policy = PlannerPolicy(model, field, config, num_slots=slots)
+    observation = np.zeros((slots, policy.layout.size), np.float32)
+    observation[:, policy.layout.view] = [100.0, 60.0, -50.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
+    for replan in range(repeats + 1):
+        policy.reset(ports=[0] * slots)
         policy.predict(observation)
-    first, *rest = policy.seconds
+        if replan == 0:
+            began = time.perf_counter()
+    return policy.seconds, time.perf_counter() - began
+
+
+def measure(model, field, repeats: int) -> dict[str, float | str]:
+    """Milliseconds of one replan."""
+    (first, *rest), _ = replans(model, field, repeats, 1)
+    cores = core_count()
+    _, together = replans(model, field, max(repeats // cores, 1), cores)
     return {
         "model": model.name,
         "first_s": first,
-        "median_ms": 1e3 * statistics.median(rest),
         "best_ms": 1e3 * min(rest),
+        "median_ms": 1e3 * float(np.median(rest)),
+        "p99.9_ms": 1e3 * float(np.quantile(rest, 0.999, method="higher")),
+        "side_by_side_ms": 1e3 * together / (max(repeats // cores, 1) * cores),
     }
+
+
+def prepare(model) -> float:
+    """Seconds from another hull to the first plan at one of its ports, nothing cached."""
+    jax.clear_caches()
+    jax.config.update("jax_enable_compilation_cache", False)
+    began = time.perf_counter()
+    boxes = hull_boxes() + np.array([0.3, 0.0, 0.0])
+    field = jax.device_put(solve_field(boxes, goal_poses()[:1, :3], np.array([PORTS[0].normal])))
+    replans(model, field, 0, 1)
+    return time.perf_counter() - began
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--repeats", type=int, default=1000)
     repeats = parser.parse_args().repeats
     field = load_field(["harmony_forward"])
     models = [
@@ -65,11 +90,13 @@ def main() -> None:
         untrained("small"),
     ]
     rows = [measure(model, field, repeats) for model in models]
-    print(f"{'model':36s} {'compile + first, s':>18s} {'median, ms':>11s} {'best, ms':>9s} {'of the first row':>17s}")
+    columns = list(rows[0])[1:]
+    print(f"{'model':36s} " + " ".join(f"{name:>16s}" for name in columns))
     for row in rows:
-        ratio = row["best_ms"] / rows[0]["best_ms"]
-        print(f"{row['model']:36s} {row['first_s']:18.1f} {row['median_ms']:11.1f} {row['best_ms']:9.1f} {ratio:17.1f}")
-    print(json.dumps(rows))
+        print(f"{row['model']:36s} " + " ".join(f"{row[name]:16.1f}" for name in columns))
+    prepared = prepare(untrained("nano"))
+    print(f"another hull and port, nano: {prepared:.1f} s from nothing to the first plan")
+    print(json.dumps({"replan": rows, "prepare_s": prepared, "cores": core_count()}))
 
 
 if __name__ == "__main__":

@@ -111,7 +111,7 @@ def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
     assert (config.steps, config.batch, config.model.width) == (400, 7, 64)
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"kind": "constant_velocity"}'])
+@pytest.mark.parametrize("content", ["{", "[]", '{"kind": "diffusion"}'])
 def test_folders_that_hold_no_policy_are_named(content, tmp_path):
     (tmp_path / "config.json").write_text(content)
     with pytest.raises(ValueError, match=r"not a checkpoint|no policy"):

@@ -152,6 +152,10 @@ def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
     with pytest.raises(ValueError, match="another environment"):
         run_matrix(matrix, tmp_path, conditions={"nominal": heavy})
 
+    # A study that wants fewer flights than were flown shows the first of each port.
+    fewer = matrix.model_copy(update={"studies": (study.model_copy(update={"flights": 1, "figures": False}),)})
+    text = write_matrix_report(fewer, flown, tmp_path, conditions={"nominal": simple})[0].read_text(encoding="utf-8")
+    assert "| PD | 2 | 0 %" in text and "| drift | PD | 2 |" in text
     files = write_matrix_report(matrix, flown, tmp_path, conditions={"nominal": simple}, commands="owm ...")
     text = files[0].read_text(encoding="utf-8")
     assert "| PD | 4 | 0 % [0, 49] |" in text and "| drift | PD | 4 |" in text and "(figures/Simple_ports.png)" in text

@@ -279,6 +279,35 @@ def test_without_the_corrector_a_bias_keeps_it_away():
     assert (miss(fly(make(corrector=False), STARTS, 200, BIAS)[0])[0] > 0.5).all()
 
 
+@dataclass(frozen=True)
+class BiasLearner:
+    """Takes half of each prediction error over as a bias."""
+
+    def init(self, params):
+        return params
+
+    def learn(self, known, before, action, after):
+        miss = after - FreeBody().step(known, None, action, before)
+        return known + 0.5 * jnp.concatenate([miss[3:6], miss[10:]]) / FreeBody.dt
+
+    def params(self, known):
+        return known
+
+
+def test_a_learner_gives_each_slot_the_parameters_it_finds():
+    policy = PlannerPolicy(FreeBody(), small_field(), ENV, PlannerConfig(corrector=False), 2, learner=BiasLearner())
+    policy.reset(ports=[PORT] * 2)
+    views = STARTS
+    for _ in range(30):  # one slot under the bias, one without
+        action, state = policy.predict(observe(policy.layout, views))
+        flown = [move(bias, views, action) for bias in (BIAS, NO_BIAS)]
+        views = np.stack([flown[0][0], flown[1][1]])
+    np.testing.assert_allclose(state.known, [BIAS, NO_BIAS], atol=2e-5)
+    policy.reset(mask=np.array([True, False]))
+    _, state = policy.predict(observe(policy.layout, views))
+    np.testing.assert_allclose(state.known, [NO_BIAS, NO_BIAS], atol=2e-5)
+
+
 def test_a_reset_slot_starts_like_a_fresh_policy_and_leaves_the_others_alone():
     policy, undisturbed, fresh = make(), make(), make()
     half, _ = fly(policy, STARTS, 5)  # in the middle of a chunk

@@ -25,7 +25,8 @@ def fly(
     """Fly a policy to a docking port and print how it went.
 
     Args:
-        policy: dock, dock-geodesic, random, orbit, oracle-mppi, the folder of a checkpoint, or user/name on the hub.
+        policy: dock, dock-geodesic, dock-geodesic-integral, random, orbit, ekf-mpc, oracle-mppi, the folder of a
+            checkpoint, least-squares-online:FOLDER, or user/name on the hub.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.

@@ -70,6 +70,7 @@ SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit"
 NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 _ONLINE = "least-squares-online"
+ONLINE_PREFIX = f"{_ONLINE}:"
 _KINDS = {
     "learned": "world model",
     "latent": "latent world model",
@@ -95,12 +96,12 @@ def kind_of(policy: str) -> str:
     if policy in ("least-squares", _ONLINE):
         given = "its folder" if policy != _ONLINE else f"{_ONLINE}:FOLDER"
         raise ValueError(f"{policy} needs a fit: give {given}, such as runs/demo/least-squares")
-    if policy.startswith(_ONLINE + ":"):
+    if policy.startswith(ONLINE_PREFIX):
         if kind_of(_folder(policy)) != "least-squares":
             raise ValueError(f"{_ONLINE} starts from a least-squares fit, which {_folder(policy)!r} is not")
         return _ONLINE
     if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
-        header = _checkpoint(policy) / "config.json"
+        header = checkpoint_folder(policy) / "config.json"
         try:
             found = json.loads(header.read_text(encoding="utf-8"))
             kind = found["kind"]
@@ -122,10 +123,10 @@ def kind_of(policy: str) -> str:
 
 def _folder(policy: str) -> str:
     """The path in a policy's name: all of it, or what stands after "least-squares-online:"."""
-    return policy.removeprefix(_ONLINE + ":")
+    return policy.removeprefix(ONLINE_PREFIX)
 
 
-def _checkpoint(path: str) -> Path:
+def checkpoint_folder(path: str) -> Path:
     """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
     folder = local_folder(path)
     inside = (folder / part for part in ("model", "policy"))
@@ -172,7 +173,7 @@ def load_policy(
     if kind in ("ppo", "ppo-field"):
         from owm.ppo.policy import PPOPolicy
 
-        flown = PPOPolicy(_checkpoint(policy), config, num_slots, field if kind == "ppo-field" else None)
+        flown = PPOPolicy(checkpoint_folder(policy), config, num_slots, field if kind == "ppo-field" else None)
         flown.name = name
         return flown
     from owm.planning.policy import PlannerPolicy
@@ -227,7 +228,7 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
 
-        folder = _checkpoint(_folder(policy))
+        folder = checkpoint_folder(_folder(policy))
         for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
             announce(f"note: {policy} {text}")
         return load_world_model(folder)

@@ -153,13 +153,19 @@ def rows_of(matrix: Matrix) -> list[Row]:
     rows: dict[tuple, Row] = {}
     for study in matrix.studies:
         for label, planner, condition in study_keys(matrix, study):
-            known = [study.fewer[k] for k in (label, planner, f"{label}, {planner}") if k in study.fewer]
-            asked = min([study.flights or matrix.flights, *known])
+            asked = flights_asked(matrix, study, (label, planner, condition))
             for copy, source in enumerate(matrix.sources(label)[: study.seeds]):
                 key = (label, planner, condition, copy)
                 flights = max(asked, rows[key].flights if key in rows else 0)
                 rows[key] = Row(label, source, copy, planner, condition, flights)
     return list(rows.values())
+
+
+def flights_asked(matrix: Matrix, study: Study, key: tuple[str, str | None, str]) -> int:
+    """Flights to each port that a study wants of a row."""
+    label, planner, _ = key
+    known = [study.fewer[k] for k in (label, planner, f"{label}, {planner}") if k in study.fewer]
+    return min([study.flights or matrix.flights, *known])
 
 
 def study_keys(matrix: Matrix, study: Study) -> Iterator[tuple[str, str | None, str]]:

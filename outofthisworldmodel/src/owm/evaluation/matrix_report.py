@@ -11,11 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Int
+
 from owm import __version__
 from owm.evaluation.conditions import CONDITIONS, Condition
 from owm.evaluation.docking import check_identical_starts
 from owm.evaluation.flights import Flights, join, score, score_groups, speed_by_range, succeeded
-from owm.evaluation.matrix import Matrix, Study, row_name, study_keys
+from owm.evaluation.matrix import Matrix, Study, flights_asked, row_name, study_keys
 from owm.evaluation.paper import DIFFERENCES, NOT_ALIKE, PLANNER_BY_PORT, PPO_BY_PORT, paper_table
 from owm.evaluation.plots import port_figure, save_figure, speed_figure, tolerance_figure, trajectory_figure
 from owm.evaluation.report import Block, Bullets, Code, Heading, Picture, Table, Text, write_report
@@ -29,7 +32,7 @@ from owm.evaluation.tables import (
     port_table,
 )
 from owm.files import slug, write_atomically
-from owm.policies import GIVEN, GIVEN_COLUMNS, Given, kind_of
+from owm.policies import GIVEN, GIVEN_COLUMNS, Given, checkpoint_folder, kind_of
 
 Key = tuple[str, str | None, str]
 Flown = Mapping[Key, Sequence[Flights]]
@@ -60,13 +63,32 @@ def write_matrix_report(
     Raises:
         ValueError: rows of a study did not fly the same starts.
     """
-    comparisons = {study.title: compare(matrix, study, flown) for study in matrix.studies}
+    comparisons = {}
     blocks: list[Block] = [Text(_opening(matrix, flown, conditions))]
     for study in matrix.studies:
-        blocks += _study(matrix, study, flown, out / "figures", conditions, comparisons[study.title])
+        wanted = _wanted(matrix, study, flown)
+        comparisons[study.title] = compare(matrix, study, wanted)
+        blocks += _study(matrix, study, wanted, out / "figures", conditions, comparisons[study.title])
     blocks += [*_given(matrix, flown), *_paper(matrix, flown), *extra, *_run(matrix, out, commands)]
     files = write_report(matrix.title, blocks, out)
     return [*files, _write_csv(flown, out), _write_json(matrix, flown, out, comparisons)]
+
+
+def _wanted(matrix: Matrix, study: Study, flown: Flown) -> Flown:
+    """A study's rows, and of those that another study flies more often the first trials of each port."""
+    rows = {}
+    for key in study_keys(matrix, study):
+        count = flights_asked(matrix, study, key)
+        if key in flown:
+            seeds = flown[key][: study.seeds]
+            rows[key] = [each.select(_trial(each) < count) for each in seeds]
+    return rows
+
+
+def _trial(flights: Flights) -> Int[np.ndarray, "N"]:
+    """Which flight to its port each one is, from 0, in the order of the seeds."""
+    order = np.argsort(np.argsort(flights.seed, kind="stable"), kind="stable")
+    return np.array([np.sum((flights.port == port) & (order < rank)) for port, rank in zip(flights.port, order)])
 
 
 def compare(matrix: Matrix, study: Study, flown: Flown) -> dict[str, list[Pairs]]:
@@ -183,8 +205,12 @@ def _failed(drawn: Sequence[Flights]) -> Iterator[Block]:
 def given_of(matrix: Matrix, key: Key) -> Given:
     """What a row was given: its policy's, less what its planner variant leaves out."""
     label, planner, _ = key
-    given = GIVEN[kind_of(matrix.sources(label)[0])]
-    planner = planner or ""
+    source, planner = matrix.sources(label)[0], planner or ""
+    kind = kind_of(source)
+    given = GIVEN[kind]
+    if kind.endswith("world model"):
+        about = json.loads((checkpoint_folder(source) / "config.json").read_text(encoding="utf-8"))["config"]
+        given = given._replace(motion=f"{given.motion} ({about['stream']} stream, {about['backbone']})")
     if "plain" in planner or "straight" in planner:
         given = given._replace(hull="clearance only, no field")
     if "no corrector" in planner:
@@ -193,19 +219,19 @@ def given_of(matrix: Matrix, key: Key) -> Given:
 
 
 def _tokens(given: Given) -> str:
-    words = []
-    if not given.hull.startswith("no"):
-        words.append("clearance" if given.hull.startswith("clearance") else given.hull.removeprefix("yes: geodesic "))
-    words += ["exact dynamics"] if "simulator" in given.motion else []
-    words += ["mass"] if given.mass == "yes" else []
-    words += ["orbital dynamics"] if "Clohessy" in given.motion else []
-    words += ["noise model"] if given.noise != "no" else []
-    words += ["corrector"] if given.feedback.startswith("yes: bias") else []
-    words += (
-        [given.feedback.removeprefix("yes: ")] if given.feedback != "no" and "bias corr" not in given.feedback else []
-    )
-    words += [] if given.data == "nothing" else ["corpus"] if given.data.startswith("corpus") else ["reward"]
-    return ", ".join(words) or "goal only"
+    """What a row was given, in a few words for a column."""
+    feedback = given.feedback.removeprefix("yes: ").replace("bias ", "")
+    words = {
+        given.hull.removeprefix("yes: geodesic "): not given.hull.startswith("no"),
+        "keep-out sphere": "sphere" in given.hull,
+        "exact dynamics": "simulator" in given.motion,
+        "orbital dynamics": "Clohessy" in given.motion,
+        "mass": given.mass == "yes",
+        "noise model": given.noise != "no",
+        feedback: feedback != "no",
+        given.data.partition(" ")[0].rstrip(",").replace("flying", "reward"): given.data != "nothing",
+    }
+    return ", ".join(word for word, said in words.items() if said) or "goal only"
 
 
 def _given(matrix: Matrix, flown: Flown) -> Iterator[Block]:

@@ -19,9 +19,8 @@ from owm.evaluation.docking import fly_episodes, trials
 from owm.evaluation.flights import Flights, join
 from owm.evaluation.matrix import PLANNERS, Matrix, Row, row_name, rows_of
 from owm.files import write_atomically
-from owm.model.hub import local_folder
 from owm.planning.config import PlannerConfig
-from owm.policies import NAMES, load_policy
+from owm.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, load_model, load_policy
 from owm.stages import source_digest
 from owm_envs.config import unknown
 
@@ -95,6 +94,9 @@ def run_matrix(
             raise ValueError(unknown("condition", row.condition, conditions))
     stores = [Store(out, row, conditions[row.condition], matrix, fresh=fresh) for row in rows]
     pace = Pace()
+    to_fly = [store for store in stores if fly and store.row.planner and store.missing()]
+    for source, told in {store.row.source: store.condition.told() for store in to_fly}.items():
+        load_model(source, told)  # so that one that cannot be read is told of now, not after an hour of flying
     for store in stores:
         for seconds in store.seconds.values():
             pace.add(store.row, seconds, store.row.flights)
@@ -204,12 +206,9 @@ def content_digest(source: str) -> str:
     """Fingerprint of a policy: its name, or what its checkpoint holds."""
     if source in NAMES:
         return source
-    # A prefix says how a fit is flown: least-squares-online:FOLDER.
-    prefix, _, path = source.rpartition(":")
-    folder = local_folder(path)
-    inside = (folder / part for part in ("model", "policy"))
-    folder = next((part for part in inside if (part / "config.json").is_file()), folder)
-    sha = sha256(prefix.encode())
+    path = source.removeprefix(ONLINE_PREFIX)
+    folder = checkpoint_folder(path)
+    sha = sha256(source.removesuffix(path).encode())
     for file in sorted(path for path in folder.rglob("*") if path.is_file()):
         sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
     return sha.hexdigest()[:16]
