@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm_envs.datasets.schema import POLICY_NAMES
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy, make_policy
@@ -12,6 +13,7 @@ from owm_envs.station import PORTS, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
 
 PULLED = ("random", "orbit", "dock", "excite")
+FOLLOWING = ("dock-geodesic", "dock-geodesic-integral")
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +31,7 @@ def policies(env):
     normals = np.array([port.normal for port in PORTS[1::-1]])
     field = solve_field(hull_boxes(), goal_poses()[1::-1, :3], normals, config=FieldConfig(fine_spacing=2.0))
     built = {name: make_policy(name, env) for name in PULLED}
-    return {**built, "dock-geodesic": make_policy("dock-geodesic", env, geodesic_field=field)}
+    return {**built, **{name: make_policy(name, env, geodesic_field=field) for name in FOLLOWING}}
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def flights(env, policies):
     keys = jax.random.split(jax.random.key(11), 8 * len(policies))
     which = np.repeat(np.arange(len(policies)), 8)
     ports = np.tile(np.arange(8), len(policies))
-    ports = np.where(which == list(policies).index("dock-geodesic"), ports % 2, ports)
+    ports = np.where(which >= len(PULLED), ports % 2, ports)
     episodes = rollout(env, list(policies.values()), keys, ports, which=which)
     return {name: episodes[8 * i : 8 * i + 8] for i, name in enumerate(policies)}
 
@@ -57,18 +59,51 @@ def test_dock_reaches_every_port_where_nothing_stands_in_the_way(flights):
         assert episode.outcome == Outcome.DOCKED or episode.info["collided"], episode.info
 
 
-def test_dock_geodesic_docks_without_touching_the_hull(flights):
-    for episode in flights["dock-geodesic"]:
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_following_the_field_docks_without_touching_the_hull(name, flights):
+    for episode in flights[name]:
         assert episode.outcome == Outcome.DOCKED, episode.info
         assert not episode.info["collided"]
         assert len(episode) * 0.25 < 200.0
 
 
-def test_dock_geodesic_cannot_fly_to_a_port_its_field_lacks(env, policies):
-    policy = policies["dock-geodesic"]
+@pytest.mark.parametrize("name", FOLLOWING)
+def test_following_the_field_is_impossible_to_a_port_it_lacks(name, env, policies):
+    policy = policies[name]
     observation = jnp.zeros(env.layout.size).at[env.layout.view.start].set(120.0).at[env.layout.view.start + 6].set(1.0)
-    assert jnp.isfinite(policy.act(jnp.int32(1), observation)[0]).all()
-    assert not jnp.isfinite(policy.act(jnp.int32(2), observation)[0]).all()
+    key = jax.random.key(0)
+    assert jnp.isfinite(policy.act(policy.init(key, 1), observation)[0]).all()
+    assert not jnp.isfinite(policy.act(policy.init(key, 2), observation)[0]).all()
+
+
+def test_integral_action_holds_off_a_steady_disturbance(env, policies):
+    """A rigid body near the goal under 0.02 m/s2 and 5e-4 rad/s2 that no policy is told of."""
+    goal = goal_poses()[0].astype(np.float32)
+    vehicle = policies["dock-geodesic"].vehicle
+
+    def miss(policy):
+        def step(carry, _):
+            state, view = carry
+            observation = jnp.zeros(env.layout.size).at[env.layout.view].set(view)
+            action, state = policy.act(state, observation)
+            force, torque = jnp.split(jnp.clip(action, -1600, 1600), 2)
+            accel = quat_rotate(view[6:10], force / vehicle.mass) + jnp.float32([0.02, 0, 0])
+            rate = view[10:] + 0.25 * (torque / jnp.float32(vehicle.inertia) + jnp.float32([0, 5e-4, 0]))
+            velocity = view[3:6] + 0.25 * accel
+            turned = quat_multiply(view[6:10], quat_from_rotation_vector(0.25 * rate))
+            view = jnp.concatenate([view[:3] + 0.25 * velocity, velocity, turned, rate])
+            return (state, view), state
+
+        view = jnp.concatenate([goal[:3] + jnp.float32([0, -2, 0]), jnp.zeros(3), goal[3:], jnp.zeros(3)])
+        (_, view), states = jax.lax.scan(step, (policy.init(jax.random.key(0), 0), view), length=480)
+        turn = 2 * jnp.linalg.norm(view[6:10] - goal[3:])
+        return jnp.linalg.norm(view[:3] - goal[:3]), turn, states
+
+    plain, plain_turn, _ = jax.jit(miss)(policies["dock-geodesic"])
+    held, held_turn, states = jax.jit(miss)(policies["dock-geodesic-integral"])
+    assert plain > 0.1 and held < 0.06
+    assert held_turn < 0.4 * plain_turn
+    assert jnp.linalg.norm(states.accel, axis=1).max() < 0.041  # 0.3 of 1600 N over 12 t
 
 
 def test_orbit_keeps_to_a_circle_with_the_nose_at_its_centre(env, flights):

@@ -79,7 +79,7 @@ def test_a_loss_that_diverges_is_told_in_one_line(monkeypatch, tmp_path, capfd):
         (["fly", "--flights", "0"], "got 0"),
         (["evaluate", "docking"], "at least one policy"),
         (["evaluate", "docking", "dock", "--slots", "0"], "slots must be at least 1"),
-        (["evaluate", "prediction", "oracle-mppi", "--data", "none"], "no dataset at none"),
+        (["evaluate", "prediction", "exact", "--data", "none"], "no dataset at none"),
         (["train", "--data", "none", "--out", "x"], "no dataset at none"),
     ],
 )

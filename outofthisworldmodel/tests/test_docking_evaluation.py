@@ -1,26 +1,34 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, start_digest, trials
+from owm.evaluation.docking import (
+    check_identical_starts,
+    evaluation_config,
+    fly_episodes,
+    start_digest,
+    state_at,
+    trials,
+)
 from owm.evaluation.flights import (
     TOLERANCES,
     Flights,
     definition_name,
-    rate,
     score,
     score_groups,
     succeeded,
-    wilson,
+    within_contact_limits,
     write_results,
 )
 from owm.evaluation.plots import hull_distance, save_figure, tolerance_figure, trajectory_figure
+from owm.evaluation.statistics import rate
 from owm.evaluation.tables import definitions_table, docking_table, failures, port_table
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy, make_policy
-from owm_envs.station import PORT_NAMES
+from owm_envs.station import PORT_NAMES, goal_poses
 
 PORTS = ["harmony_nadir", "unity_nadir"]
 # A box about both goals: every flight touches it, none may end by it.
@@ -193,6 +201,10 @@ def made(distance, collided, outcome="timeout", speed=0.1, port=None):
         closest_attitude=zeros,
         closest_rate=zeros,
         closest_time=zeros,
+        closest_axial=np.asarray(distance),
+        closest_lateral=zeros,
+        closest_closing=zeros + speed,
+        closest_lateral_speed=zeros,
         clearance=zeros + 1,
         time=np.arange(count) + 100.0,
         delta_v=zeros + 2,
@@ -228,13 +240,38 @@ def test_groups_pool_train_and_held_out_ports():
     assert "held_out" not in only and set(only) == {"all", "train", "zvezda_aft"}
 
 
-@pytest.mark.parametrize(
-    "count, total, low, high",
-    # R. G. Newcombe, Statistics in Medicine 17 (1998) 857, table I, method 3.
-    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
-)
-def test_wilson_intervals_match_published_values(count, total, low, high):
-    assert wilson(count, total) == (pytest.approx(low, abs=5e-5), pytest.approx(high, abs=5e-5))
+def test_the_closest_approach_is_split_along_the_ports_normal(docked):
+    split = np.hypot(docked.closest_axial, docked.closest_lateral)
+    np.testing.assert_allclose(split, docked.closest_distance, atol=2e-4)
+    split = np.hypot(docked.closest_closing, docked.closest_lateral_speed)
+    np.testing.assert_allclose(split, docked.closest_speed, atol=2e-3)  # float32 clock
+    # Both ports face nadir: outwards is down, closing is up. These flights were closest when they ended.
+    last = docked.trajectory[np.arange(4), np.isfinite(docked.trajectory[..., 0]).sum(axis=1) - 1]
+    np.testing.assert_allclose(docked.closest_axial, goal_poses()[docked.port, 2] - last[:, 2], atol=5e-4)
+    np.testing.assert_allclose(docked.closest_closing, last[:, 5], atol=5e-4)
+
+
+def test_states_between_samples_follow_a_steady_acceleration():
+    position, velocity, acceleration = np.array([1.0, 2, 3]), np.array([0.1, -0.2, 0.3]), np.array([0.2, 0.1, -0.1])
+    clock = np.array([[0.0, 0.25, 0.5, np.nan], [0.0, 0.25, 0.35, np.nan]])
+
+    def at(t):
+        moved = position + velocity * t[..., None] + 0.5 * acceleration * t[..., None] ** 2
+        return np.concatenate([moved, velocity + acceleration * t[..., None]], axis=-1)
+
+    path = np.concatenate([at(clock), np.zeros((2, 4, 7))], axis=2)
+    for times in ([0.1, 0.3], [0.0, 0.35], [0.5, 0.25]):
+        np.testing.assert_allclose(state_at(path, clock, np.array(times)), at(np.array(times)), atol=1e-12)
+
+
+def test_contact_limits_of_the_docking_standard():
+    flights = made([0.05] * 6, [False] * 5 + [True])
+    flights = replace(flights, closest_closing=np.array([0.07, 0.03, 0.12, -0.01, 0.07, 0.07]))
+    flights = replace(flights, closest_lateral_speed=np.array([0.0, 0, 0, 0, 0.05, 0]))
+    assert within_contact_limits(flights).tolist() == [True, False, False, False, False, False]
+    assert within_contact_limits(flights, least_closing=False).tolist() == [True, True] + [False] * 4
+    assert not within_contact_limits(replace(flights, closest_lateral=np.full(6, 0.11))).any()
+    assert score(flights)["idss"]["count"] == 1
 
 
 def test_flights_survive_their_file_and_a_broken_one_is_named(docked, tmp_path):

@@ -14,12 +14,12 @@ from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.least_squares import fit_least_squares
 from owm.data import from_episodes, history_of
 from owm.evaluation.prediction import prediction_error, roll_out
+from owm.model.backbones import BACKBONES
 from owm.model.checkpoint import CheckpointError, load_world_model, save_world_model
 from owm.model.config import ModelConfig, preset
 from owm.model.interface import History
 from owm.model.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
 from owm.model.streams.kinematic import KinematicStream
-from owm.model.transformer import Backbone
 from owm.model.world_model import LearnedWorldModel, Network, Params
 
 CONFIG = ModelConfig(width=16, heads=2, window=5, head_width=16)
@@ -79,10 +79,21 @@ def rolled(model):
     return jax.jit(lambda params, history, actions: roll_out(model, params, history, actions))
 
 
-def test_cached_steps_equal_the_whole_sequence():
+@pytest.mark.parametrize("kind", BACKBONES)
+def test_backbones_are_of_one_size(kind):
+    def size(kind):
+        config = preset("nano").model_copy(update={"backbone": kind})
+        network = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0)))
+        return sum(leaf.size for leaf in jax.tree.leaves(network))
+
+    assert abs(size(kind) / size("transformer") - 1) < 0.1
+
+
+@pytest.mark.parametrize("kind", BACKBONES)
+def test_cached_steps_equal_the_whole_sequence(kind):
     with jax.enable_x64(True):
         config = CONFIG.model_copy(update={"blocks": 2})
-        backbone = jax.jit(lambda: Backbone(config, jnp.float64, key=jax.random.key(0)))()
+        backbone = jax.jit(lambda: BACKBONES[kind](config, 2, jnp.float64, key=jax.random.key(0)))()
         x = jax.random.normal(jax.random.key(1), (17, 2, config.width), jnp.float64)
         valid = jnp.arange(17) >= 3
         sequence = jax.jit(lambda net, x, valid: net.sequence(x, valid))
@@ -92,6 +103,8 @@ def test_cached_steps_equal_the_whole_sequence():
         for i in range(7, 17):
             out, memory = step(backbone, x[i], memory)
             np.testing.assert_allclose(out, whole[i], rtol=0, atol=1e-12)
+        spoiled, _ = sequence(backbone, x.at[:3].add(1.0), valid)
+        np.testing.assert_array_equal(spoiled[3:], whole[3:])
 
 
 def test_cached_rollout_equals_recomputing_everything(model, window, rolled, errors):

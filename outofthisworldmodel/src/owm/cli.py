@@ -42,7 +42,7 @@ def fly(
 
 
 def evaluate() -> None:
-    """Score policies (`owm evaluate docking`) or predictions (`owm evaluate prediction`)."""
+    """Score policies (`owm evaluate docking`, `owm evaluate matrix`) or predictions (`owm evaluate prediction`)."""
 
 
 def evaluate_docking(
@@ -52,8 +52,9 @@ def evaluate_docking(
     seed: int = 0,
     shell: Shell = "100-225",
     noise: str = "cooperative",
-    slots: int = 40,
+    slots: int = 50,
     out: Path = Path("runs/evaluate"),
+    fresh: bool = False,
 ) -> None:
     """Score policies by the evaluation protocol: identical starts, fourteen definitions of success.
 
@@ -65,36 +66,77 @@ def evaluate_docking(
         shell: Distance from the station at the start, m.
         noise: Sensor noise: none, cooperative or noncooperative.
         slots: Most flights side by side.
-        out: Folder for tables and pictures.
+        out: Folder for flights, report and pictures; a killed run goes on where it was.
+        fresh: Fly again what OUT holds of other settings.
     """
     _compilation_cache()
     from owm.commands import evaluate_docking as run
 
-    run(policies, flights=flights, ports=ports, seed=seed, shell=shell, noise=noise, slots=slots, out=out)
+    scored = {"flights": flights, "ports": ports, "seed": seed, "shell": shell, "noise": noise}
+    run(policies, **scored, slots=slots, out=out, fresh=fresh)
+
+
+def evaluate_matrix(
+    table: Annotated[Path, tyro.conf.Positional],
+    out: Path = Path("runs/matrix"),
+    slots: int = 50,
+    fresh: bool = False,
+    fly: bool = True,
+    prediction: Path | None = None,
+) -> None:
+    """Fly a declared table of policies, planner variants and conditions, and report on it.
+
+    Args:
+        table: TOML file: policies, and studies of them.
+        out: Folder for flights, report and pictures; a killed run goes on where it was.
+        slots: Most flights side by side.
+        fresh: Fly again what OUT holds of other settings.
+        fly: Or only report on what is complete.
+        prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
+    """
+    _compilation_cache()
+    from owm.commands import evaluate_matrix as run
+
+    run(table, out=out, slots=slots, fresh=fresh, fly=fly, prediction=prediction)
 
 
 def evaluate_prediction(
     models: Annotated[tuple[str, ...], tyro.conf.Positional],
-    data: Path,
-    split: str = "val",
-    windows: int = 512,
+    data: tuple[Path, ...],
+    split: str | None = None,
+    windows: int = 256,
+    spread_windows: int = 48,
+    samples: int = 199,
     seed: int = 0,
     out: Path = Path("runs/evaluate"),
 ) -> None:
-    """Score open-loop predictions by horizon on recorded episodes, constant velocity beside them.
+    """Score open-loop predictions by horizon on recorded flights, and how well their spread is calibrated.
+
+    Constant velocity, least squares, the Kalman filter and the exact dynamics are scored beside them.
 
     Args:
-        models: Folders of checkpoints, or oracle-mppi for the exact dynamics.
-        data: Dataset to predict.
-        split: Its split.
-        windows: How many windows to draw.
-        seed: Decides which.
-        out: Folder for table and picture.
+        models: Folders of checkpoints, or constant-velocity, least-squares, least-squares-action-only, ekf, exact.
+        data: Datasets to predict.
+        split: Their split; by default the flights that training sets aside.
+        windows: Windows of behaviour and of planner-style flights in each dataset.
+        spread_windows: Windows to draw samples in.
+        samples: Trajectories to draw in each.
+        seed: Decides the windows.
+        out: Folder for JSON and pictures.
     """
     _compilation_cache()
-    from owm.commands import evaluate_prediction as run
+    from owm.predictors import evaluate_prediction as run
 
-    run(models, data, split=split, windows=windows, seed=seed, out=out)
+    run(
+        models,
+        data,
+        split=split,
+        windows=windows,
+        spread_windows=spread_windows,
+        samples=samples,
+        seed=seed,
+        out=out,
+    )
 
 
 def presets() -> None:
@@ -186,6 +228,7 @@ def main(arguments: list[str] | None = None) -> None:
     app, prog, description = tyro.extras.SubcommandApp(), "owm", "A world model of spacecraft rendezvous."
     if arguments[:1] == ["evaluate"]:
         app.command(evaluate_docking, name="docking")
+        app.command(evaluate_matrix, name="matrix")
         app.command(evaluate_prediction, name="prediction")
         arguments, prog, description = arguments[1:], "owm evaluate", evaluate.__doc__
     else:

@@ -1,25 +1,27 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
-import json
-import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import jax
 
-from owm.console import announce, console, flying, print_table
+from owm.console import announce, bar, console, flying, print_table
+from owm.evaluation.conditions import CONDITIONS, Condition
 from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, trials
 from owm.evaluation.flights import Flights, write_results
-from owm.evaluation.plots import prediction_figure, save_figure, tolerance_figure, trajectory_figure
+from owm.evaluation.matrix import Matrix, Study, read_matrix, study_keys
+from owm.evaluation.matrix_report import write_matrix_report
+from owm.evaluation.matrix_run import run_matrix
+from owm.evaluation.plots import save_figure, trajectory_figure
 from owm.evaluation.prediction import PredictionError, prediction_error
+from owm.evaluation.prediction_report import prediction_blocks
 from owm.evaluation.report import Table
-from owm.evaluation.tables import docking_table, port_table, prediction_table
-from owm.files import write_atomically
+from owm.evaluation.tables import docking_table, port_table
+from owm.files import slug
 from owm.planning.config import PlannerConfig
-from owm.policies import kind_of, load_model, load_policy
+from owm.policies import kind_of, load_policy
 from owm.ppo.config import PPOConfig
-from owm.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
+from owm.recordings import corpus_facts, training_episodes
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
 from owm_envs.station import PORT_NAMES
@@ -153,10 +155,13 @@ def evaluate_docking(
     seed: int = 0,
     shell: str = "100-225",
     noise: str = "cooperative",
-    slots: int = 40,
+    slots: int = 50,
     out: Path = Path("runs/evaluate"),
+    fresh: bool = False,
 ) -> list[Flights]:
-    """Score policies on identical starts; print tables, write CSV, JSON and pictures.
+    """Score policies on identical starts; print tables, write a report, CSV, JSON and pictures.
+
+    A killed run goes on at the port where it was.
 
     Args:
         policies: each as `load_policy` takes it.
@@ -165,71 +170,86 @@ def evaluate_docking(
         seed, shell, noise: as for `fly`.
         slots: most flights side by side.
         out: folder for the files.
+        fresh: fly again what `out` holds of other settings.
 
     Raises:
-        ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset.
+        ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset, or `out` holds flights of other
+            settings.
     """
     if not policies:
         raise ValueError("name at least one policy")
-    for policy in policies:
-        kind_of(policy)
-    config = evaluation_config(shell, noise=noise)
-    seeds, index = trials(ports or PORT_NAMES, flights, seed)
-    if slots < 1:
-        raise ValueError(f"slots must be at least 1, got {slots}")
-    flown = [fly_named(policy, config, seeds, index, seed=seed, slots=slots) for policy in policies]
-    if len({each.policy for each in flown}) < len(flown):
-        flown = [replace(each, policy=policy) for policy, each in zip(policies, flown)]
-    starts = check_identical_starts(flown)
-    files = write_results({each.policy: each for each in flown}, out)
-    for policy, each in zip(policies, flown):
-        files.append(Path(out) / f"trajectories_{slug(policy)}.png")
-        save_figure(trajectory_figure(each), files[-1])
-    files.append(Path(out) / "tolerance.png")
-    save_figure(tolerance_figure(flown), files[-1])
-    print_table(docking_table(flown), f"{len(seeds)} flights each from the same starts (digest {starts}), {shell} m")
-    print_table(port_table(flown))
+    short = ["/".join(Path(policy).parts[-2:]) for policy in policies]
+    labels = policies if len(set(short)) < len(short) else short
+    study = Study(title="Docking", policies=tuple(labels), figures=True, trajectories=tuple(labels))
+    if len(policies) > 1:
+        study = study.model_copy(update={"against": (labels[-1],)})
+    matrix = Matrix(
+        seed=seed, flights=flights, ports=ports or PORT_NAMES, policies=dict(zip(labels, policies)), studies=(study,)
+    )
+    conditions = {"nominal": Condition(f"{noise} noise, starts {shell} m out", shell, noise)}
+    command = f"owm evaluate docking {' '.join(policies)} --flights {flights} --seed {seed} --shell {shell}"
+    command += f" --noise {noise}" + (f" --ports {' '.join(ports)}" if ports else "")
+    files, flown = _run_and_report(matrix, Path(out), command, conditions=conditions, slots=slots, fresh=fresh)
+    scored = [seeds[0] for seeds in flown.values()]
+    files += write_results({each.policy: each for each in scored}, out)
+    starts = check_identical_starts(scored)
+    title = f"{len(scored[0])} flights each from the same starts (digest {starts}), {shell} m"
+    print_table(docking_table(scored), title)
+    print_table(port_table(scored))
     for file in files:
         print(file)
-    return flown
+    return scored
 
 
-def evaluate_prediction(
-    models: Sequence[str],
-    data: Path,
+def evaluate_matrix(
+    table: Path,
     *,
-    split: str = "val",
-    windows: int = 512,
-    seed: int = 0,
-    out: Path = Path("runs/evaluate"),
-) -> list[PredictionError]:
-    """Score open-loop predictions on a recorded dataset, constant velocity beside them.
+    out: Path = Path("runs/matrix"),
+    slots: int = 50,
+    fresh: bool = False,
+    fly: bool = True,
+    prediction: Path | None = None,
+) -> None:
+    """Fly a declared table of policies, planner variants and conditions, and report on it.
 
     Args:
-        models: checkpoints, or "oracle-mppi" for the exact dynamics.
-        data: the dataset.
-        split: its split.
-        windows: how many to draw.
-        seed: decides which.
-        out: folder for table and picture.
+        table: TOML file, as `Matrix` describes it.
+        out: folder for everything; a killed run goes on at the port where it was.
+        slots: most flights side by side.
+        fresh: fly again what `out` holds of other settings.
+        fly: or only report on the rows that are complete.
+        prediction: folder of `owm evaluate prediction`, for the report.
 
     Raises:
-        ValueError, FileNotFoundError: no such model, dataset or split, or episodes too short.
+        ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
     """
-    from owm.baselines.constant_velocity import ConstantVelocity
+    matrix, out = read_matrix(Path(table)), Path(out)
+    command = f"owm evaluate matrix {Path(table).name} --slots {slots}"
+    extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
+    files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly)
+    for study in matrix.studies:
+        rows = [flown[key] for key in study_keys(matrix, study) if key in flown]
+        if rows:
+            print_table(docking_table(rows), study.title)
+    for file in files:
+        print(file)
 
-    loaded = [load_model(model, evaluation_config()) for model in models]
-    if windows < 1:
-        raise ValueError(f"windows must be at least 1, got {windows}")
-    episodes = at_model_rate(read_recordings(data, split))
-    errors = predict([*loaded, ConstantVelocity()], episodes, windows, seed)
-    out = Path(out)
-    rows = [row for each in errors for row in each.rows()]
-    write_atomically(out / "prediction.json", lambda file: json.dump(rows, file, indent=1), text=True)
-    save_figure(prediction_figure({f"{data} {split}": errors}), out / "prediction.png")
-    print_table(prediction_table(errors), "mean prediction error")
-    print(out / "prediction.json", out / "prediction.png", sep="\n")
-    return errors
+
+def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
+    said = ""
+    with bar("flying", "flights") as update:
+
+        def report(done: int, total: int, what: str, how_far: str) -> None:
+            nonlocal said
+            if what != said:
+                said = what
+                announce(f"{done}/{total} flights; {what}")
+            update(done, total, how_far)
+
+        flown = run_matrix(matrix, out, conditions=conditions, report=report, **options)
+    if not flown:
+        raise ValueError(f"{out} holds no complete row to report on")
+    return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command, extra=extra), flown
 
 
 def predict(models, episodes, windows: int, seed: int = 0, progress=None) -> list[PredictionError]:
@@ -272,8 +292,3 @@ def flight_table(flights: Flights) -> Table:
     ]
     columns = ["seed", "outcome", "closest m", "m/s", "deg", "deg/s", "least clearance m", "time s", "Δv m/s"]
     return Table(columns, rows)
-
-
-def slug(name: str) -> str:
-    """A name as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"

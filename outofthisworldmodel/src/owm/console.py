@@ -17,7 +17,7 @@ from owm.evaluation.report import Table
 from owm.evaluation.tables import to_rich
 
 console = Console(stderr=True, highlight=False)
-_WIDTH = 140
+_WIDTH = 160
 """Columns where there is no terminal to ask."""
 
 

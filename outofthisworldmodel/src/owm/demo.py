@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from owm import __version__
-from owm.commands import fly_named, predict, slug
+from owm.commands import fly_named, predict
 from owm.console import announce, bar, console, print_table
 from owm.data import Episodes
 from owm.demo_report import Results, write_demo_report
@@ -18,7 +18,7 @@ from owm.evaluation.docking import check_identical_starts, evaluation_config, tr
 from owm.evaluation.flights import Flights, succeeded, write_results
 from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.tables import docking_table
-from owm.files import write_atomically
+from owm.files import slug, write_atomically
 from owm.planning.config import PlannerConfig
 from owm.recordings import at_model_rate, corpus_facts, training_episodes
 from owm.stages import Stages, peak_memory, source_digest

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from owm import __version__
-from owm.commands import slug
-from owm.evaluation.flights import Flights, rate, succeeded
+from owm.evaluation.flights import Flights, succeeded
+from owm.evaluation.paper import DIFFERENCES, paper_table
 from owm.evaluation.plots import (
     loss_figure,
     prediction_figure,
@@ -19,6 +19,7 @@ from owm.evaluation.plots import (
 )
 from owm.evaluation.prediction import PredictionError
 from owm.evaluation.report import Block, Bullets, Code, Heading, Picture, Table, Text, write_report
+from owm.evaluation.statistics import rate
 from owm.evaluation.tables import (
     definitions_table,
     docking_table,
@@ -27,6 +28,7 @@ from owm.evaluation.tables import (
     port_table,
     prediction_table,
 )
+from owm.files import slug
 from owm.policies import GIVEN, GIVEN_COLUMNS
 from owm.training.config import PRESETS
 
@@ -52,29 +54,13 @@ class Results:
     """Bytes; 0 where the system does not tell."""
 
 
-# From the paper's section on results; a flight is a success within 1 m with no collision.
-_PAPER = (
-    ("paper: world model in MPPI, camera and state", "53 %", "61 %", "40 %", "3 %", "39 % / 60 %"),
-    ("paper: PPO", "29 %", "36 %", "17 %", "11 %", "35 % / 36 %"),
-)
 _DIFFERENCES = (
-    "**Hull.** The paper's 313 boxes come from a NASA model of the station; ours from published dimensions of "
-    "its parts. Ports, hold poses and the chaser's sphere are the paper's.",
-    "**Map.** Every planner here is given a geodesic distance field around the hull and the hull clearance in "
-    "its objective, and a speed profile along that field. The paper's planner is given the goal pose; its "
-    "docking objective is not published in full, and 39 to 60 % of its flights touch the station.",
-    "**Constants.** Those of our planner and field come from prototypes that flew all eight ports, held-out "
-    "ones included, and were checked again on the train ports.",
+    *DIFFERENCES,
     "**Corpus.** The paper mixes random, orbit and dock; ours adds flights with random wrenches held for 2 s, as "
     "a planner's candidates are.",
-    "**Model.** Ours predicts accelerations over exact rigid-body kinematics, beside a least-squares map, from "
-    "state alone; the paper's 6.4 million parameters predict latent tokens of state and camera images with no "
-    "such prior.",
-    "**Correction.** Our planner feeds the model's last errors back as additive accelerations; the paper does "
-    "not mention such a loop.",
-    "**Starts.** 100–225 m, cooperative noise. The paper's reinforcement-learning shell is 100–125 m.",
+    "**Model.** Ours predicts accelerations over exact rigid-body kinematics, beside a least-squares map; the paper's "
+    "model has no such prior.",
     "**Count.** The paper flies 50 times to each port, this demo {trials}: mind the intervals.",
-    "**Hardware.** Processor here, minutes of training; the paper trains about 24 hours on one NVIDIA H100.",
 )
 
 
@@ -235,40 +221,11 @@ def _trajectories(results: Results, figures: Path) -> list[Block]:
 
 
 def _paper(results: Results) -> list[Block]:
-    from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
-
-    rows = []
-    for each in results.flights[:1]:
-        names = [PORT_NAMES[port] for port in each.port]
-
-        def some(ports, each=each, names=names):
-            return each.select([name in ports for name in names])
-
-        train, held_out = some(TRAIN_PORTS), some(HELD_OUT_PORTS)
-        collided = [percent(rate(part.collided), False) for part in (train, held_out)]
-        rows.append(
-            [
-                "here: world model",
-                percent(rate(succeeded(each, 1.0))),
-                percent(rate(succeeded(train, 1.0))),
-                percent(rate(succeeded(held_out, 1.0))),
-                percent(rate(succeeded(train, 0.1, full=True))),
-                " / ".join(collided),
-            ]
-        )
-    columns = [
-        "",
-        "1 m, all ports",
-        "1 m, train ports",
-        "1 m, held-out ports",
-        "0.1 m, all bounds, train ports",
-        "collided, train / held out",
-    ]
     trials = f"{results.size.trials} time{'s' if results.size.trials > 1 else ''}"
     return [
         Heading("Next to the paper"),
         Text("The paper's figures for the same task, with everything that makes this no like-for-like comparison:"),
-        Table(columns, [*rows, *map(list, _PAPER)]),
+        paper_table(results.flights[:1]),
         Bullets([text.format(trials=trials) for text in _DIFFERENCES]),
     ]
 

@@ -1,6 +1,7 @@
 """Files and folders that are either whole or not there."""
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -23,6 +24,11 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, te
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def slug(name: str) -> str:
+    """A name as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"
 
 
 def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> None:

@@ -39,20 +39,40 @@ _EXACT = "the simulator's own, started from the measurement"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "least-squares-online": Given(
+        _MAP, f"{_KINEMATICS} fitted, then again in flight", _PROFILE, "no", "no", f"{_CORRECTOR}; action map", "corpus"
+    ),
+    "ekf-mpc": Given(
+        "no: a sphere about the station and a corridor to the port",
+        "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
+        "yes",
+        "yes",
+        "no",
+        "yes: state estimate",
+        "nothing",
+    ),
+    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
     "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
     "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
+    "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
 }
 """Keyed by `kind_of` a policy."""
-SCRIPTED = ("dock", "dock-geodesic", "random", "orbit", "excite")
-NAMES = (*SCRIPTED, "oracle-mppi")
+SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
+NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
-_KINDS = {"learned": "world model", "least_squares": "least-squares"}
+_ONLINE = "least-squares-online"
+_KINDS = {"learned": "world model", "least_squares": "least-squares", "constant_velocity": "constant-velocity"}
+
+
+def is_planned(kind: str) -> bool:
+    """Whether a kind of policy is a world model in the planner."""
+    return kind in ("oracle-mppi", _ONLINE, *_KINDS.values())
 
 
 def kind_of(policy: str) -> str:
@@ -64,8 +84,13 @@ def kind_of(policy: str) -> str:
     """
     if policy in NAMES:
         return policy
-    if policy == "least-squares":
-        raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
+    if policy in ("least-squares", _ONLINE):
+        given = "its folder" if policy != _ONLINE else f"{_ONLINE}:FOLDER"
+        raise ValueError(f"{policy} needs a fit: give {given}, such as runs/demo/least-squares")
+    if policy.startswith(_ONLINE + ":"):
+        if kind_of(_folder(policy)) != "least-squares":
+            raise ValueError(f"{_ONLINE} starts from a least-squares fit, which {_folder(policy)!r} is not")
+        return _ONLINE
     if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
         header = _checkpoint(policy) / "config.json"
         try:
@@ -85,6 +110,11 @@ def kind_of(policy: str) -> str:
     raise ValueError(f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint")
 
 
+def _folder(policy: str) -> str:
+    """The path in a policy's name: all of it, or what stands after "least-squares-online:"."""
+    return policy.removeprefix(_ONLINE + ":")
+
+
 def _checkpoint(path: str) -> Path:
     """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
     folder = local_folder(path)
@@ -92,16 +122,19 @@ def _checkpoint(path: str) -> Path:
     return next((part for part in inside if (part / "config.json").is_file()), folder)
 
 
-def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None) -> Any:
+def load_policy(
+    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None, field: Any = None
+) -> Any:
     """Build a policy for a batch of slots.
 
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
-            to fly.
+            to fly; `least-squares-online:FOLDER` estimates such a fit again in flight.
         config: the environment to fly.
         num_slots: flights side by side.
         seed: decides the policy's own draws.
         planner: a `PlannerConfig` for planned policies; the standard one when None.
+        field: the `GeodesicField` for policies that use one; the station's own when None.
 
     Returns:
         A policy as `owm.evaluation.docking.Policy` describes it, with a `name`.
@@ -116,19 +149,30 @@ def load_policy(policy: str, config: DockingConfig, num_slots: int = 1, seed: in
 
     env = DockingEnv(config)
     if kind in SCRIPTED:
-        return VectorPolicy(make_policy(kind, env), seed=seed)
+        return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
+    if kind == "ekf-mpc":
+        from owm.baselines.classical import classical_policy
+
+        return VectorPolicy(classical_policy(env), seed=seed)
     from owm_envs.geodesic import load_field
 
-    name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
+    name = kind if kind in (policy, _ONLINE) else "/".join(Path(policy).parts[-2:])
+    if field is None and kind != "ppo":
+        field = load_field()
     if kind in ("ppo", "ppo-field"):
         from owm.ppo.policy import PPOPolicy
 
-        flown = PPOPolicy(_checkpoint(policy), config, num_slots, load_field() if kind == "ppo-field" else None)
+        flown = PPOPolicy(_checkpoint(policy), config, num_slots, field if kind == "ppo-field" else None)
         flown.name = name
         return flown
     from owm.planning.policy import PlannerPolicy
 
-    made = PlannerPolicy(load_model(policy, config), load_field(), env, planner, num_slots, seed)
+    model, learner = load_model(policy, config), None
+    if kind == _ONLINE:
+        from owm.baselines.online import OnlineLeastSquares
+
+        learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
+    made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
     made.name = name
     return made
 
@@ -165,11 +209,15 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.baselines.exact import ExactDynamics
 
         return ExactDynamics(config.fidelity, config)
-    if kind in _KINDS.values():
+    if policy == "constant-velocity":
+        from owm.baselines.constant_velocity import ConstantVelocity
+
+        return ConstantVelocity()
+    if kind in (*_KINDS.values(), _ONLINE):
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
 
-        folder = _checkpoint(policy)
+        folder = _checkpoint(_folder(policy))
         for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
             announce(f"note: {policy} {text}")
         return load_world_model(folder)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-POLICY_NAMES: tuple[str, ...] = ("random", "orbit", "dock", "dock-geodesic", "excite")
+POLICY_NAMES: tuple[str, ...] = ("random", "orbit", "dock", "dock-geodesic", "excite", "dock-geodesic-integral")
 """Scripted policies; a policy's id in files is its place in this tuple. New names go to the end."""
 
 CODEBASE_VERSION = "v3.0"

@@ -262,56 +262,6 @@ class DockPolicy:
         return self.layout.action(jnp.concatenate([force, torque])), state
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class DockGeodesicPolicy:
-    """Follow the shortest collision-free way to the port: velocity down the geodesic cost-to-go, attitude of the port.
-
-    It is given the station's hull by way of `field`. Speed profile 4 m/s, sqrt(0.08 phi), phi / 4, and
-    0.4 m/s + sqrt(0.08 clearance), whichever is least: what braking at 0.04 m/s2 can undo before the goal or the hull.
-    Turning rate 0.05 rad/s, sqrt(0.02 theta), theta / 5. The velocity and rate loops have time constants of 2 s. The
-    limit by clearance was chosen on train ports, where a linear one (0.18 / s) clips an array in 3 of 200 flights.
-    """
-
-    vehicle: Vehicle
-    field: Any
-    """A `GeodesicField`."""
-    rows: Int[Array, "8"]
-    """Its row of each port, -1 where it has none: there the action is not finite, which ends the episode."""
-    layout: ObservationLayout = field(metadata=_STATIC)
-    name: ClassVar[str] = "dock-geodesic"
-
-    def init(self, key, port):
-        """State: the port."""
-        return jnp.asarray(port, jnp.int32)
-
-    def act(self, state, observation):
-        """Track the field's velocity."""
-        from owm_envs.geodesic import clearance, cost_to_go
-
-        view = read_view(self.layout, observation)
-        dtype = observation.dtype
-        row = jnp.asarray(self.rows)[state]
-        cost, gradient = cost_to_go(self.field, jnp.maximum(row, 0), view.position)
-        cost = jnp.where(row < 0, jnp.nan, cost)
-        gap = clearance(self.field, view.position)
-        cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
-        speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
-        speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
-        wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
-        accel = (wanted - view.velocity) / 2.0
-        force = quat_rotate(quat_conjugate(view.attitude), self.vehicle.mass * accel)
-
-        _, attitude = goal_of(state, dtype)
-        error = attitude_error(view, attitude)
-        angle = safe_norm(error)
-        turn = jnp.minimum(0.05, jnp.minimum(jnp.sqrt(0.02 * jnp.maximum(angle, 1e-9)), angle / 5.0))
-        rate = turn * error / jnp.maximum(angle, 1e-9)
-        torque = jnp.asarray(self.vehicle.inertia, dtype) * (rate - view.rate) / 2.0
-        wrench = jnp.concatenate([limit_norm(force, self.vehicle.force_limit), torque])
-        return self.layout.action(wrench), state
-
-
 def _limits(vehicle: Vehicle, dtype) -> Float[Array, "6"]:
     return jnp.stack([jnp.asarray(vehicle.force_limit, dtype)] * 3 + [jnp.asarray(vehicle.torque_limit, dtype)] * 3)
 
@@ -321,7 +271,7 @@ def make_policy(name: str, env: "DockingEnv", *, geodesic_field: Any = None) -> 
 
     Args:
         name: one of `POLICY_NAMES`.
-        geodesic_field: a `GeodesicField` for "dock-geodesic"; the station's own when None.
+        geodesic_field: a `GeodesicField` for those that follow one; the station's own when None.
 
     Raises:
         ValueError: the name is unknown (naming the nearest).
@@ -339,13 +289,7 @@ def make_policy(name: str, env: "DockingEnv", *, geodesic_field: Any = None) -> 
         return DockPolicy(vehicle, layout=layout)
     if name == "excite":
         return ExcitePolicy(vehicle, layout=layout, hold=max(1, round(2.0 / decision_dt)))
-    if geodesic_field is None:
-        from owm_envs.geodesic import load_field
+    from owm_envs.policies.geodesic import DockGeodesicIntegralPolicy, DockGeodesicPolicy, prepared
 
-        geodesic_field = load_field()
-    from owm_envs.geodesic import field_rows
-
-    rows = field_rows(geodesic_field)
-    # On the device once, not with every call: the field takes 150 MB.
-    geodesic_field = jax.tree.map(jnp.asarray, geodesic_field)
-    return DockGeodesicPolicy(vehicle, geodesic_field, rows, layout=layout)
+    kinds = {kind.name: kind for kind in (DockGeodesicPolicy, DockGeodesicIntegralPolicy)}
+    return kinds[name](vehicle, *prepared(geodesic_field), layout=layout)

@@ -76,7 +76,7 @@ class ExactDynamics:
         Raises:
             RuntimeError: float64 is needed and JAX's 64-bit mode is off.
         """
-        return self._start(params, params.chief.epoch, history.observation[-1])
+        return self.start(params, params.chief.epoch, history.observation[-1])
 
     def step(
         self, params: ExactParams, key: Key[Array, ""] | None, action: Float[Array, "6"], state: PhysicalState
@@ -94,13 +94,18 @@ class ExactDynamics:
     ) -> PhysicalState:
         """Start again from the measurement, one step later."""
         epoch = jnp.stack(normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed + self.dt))
-        return self._start(params, epoch, observation)
+        return self.start(params, epoch, observation)
 
     def decode(self, params: ExactParams, state: PhysicalState) -> dict[str, Array]:
         """Return the view in the station frame."""
         return {"state": self.dynamics.relative_state(params, state)}
 
-    def _start(self, params, epoch, view):
+    def start(self, params: ExactParams, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
+        """Start from a view at an epoch [MJD day, s of day].
+
+        Raises:
+            RuntimeError: float64 is needed and JAX's 64-bit mode is off.
+        """
         dtype = jnp.dtype(self.precision)
         if jax.dtypes.canonicalize_dtype(dtype) != dtype:
             raise RuntimeError(

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from owm.evaluation.flights import Flights, join
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
-from owm_envs.station import PORT_NAMES, port_index
+from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
 
 SHELLS: dict[str, tuple[float, float]] = {"100-125": (100.0, 125.0), "100-225": (100.0, 225.0)}
 """Start shells of the two tables, m: the paper's for reinforcement learning, and all starts."""
@@ -119,8 +119,8 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
     config, layout = env.config, env.layout
     decisions = round(config.horizon / config.decision_dt)
     observation, info = env.reset(seed=seeds.tolist(), options={"dock_port": [int(port) for port in ports]})
+    path, clock, began = [info["true_state"]], [np.zeros(len(seeds))], info["epoch"]
     digest = np.array([start_digest(*start) for start in zip(info["true_state"], info["epoch"], ports)])
-    path = [info["true_state"]] if record else []
     running = np.ones(len(seeds), bool)
     flown = np.zeros(len(seeds))
     force, torque = np.zeros(len(seeds)), np.zeros(len(seeds))
@@ -145,8 +145,8 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         torque += np.linalg.norm(np.nan_to_num(wrench[:, 3:]), axis=1) * held
         observation, _, terminated, truncated, info = env.step(action)
         flown += np.where(running, config.decision_dt, 0)
-        if record:
-            path.append(np.where(running[:, None], info["true_state"], np.nan))
+        path.append(np.where(running[:, None], info["true_state"], np.nan))
+        clock.append(np.where(running, (info["epoch"] - began) @ np.array([86_400.0, 1.0]), np.nan))
         running = running & ~(terminated | truncated)
         if hasattr(policy, "active"):
             policy.active = running
@@ -155,10 +155,10 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         if not running.any():
             break
 
-    trajectory = None
-    if record:
-        trajectory = np.full((len(seeds), decisions + 1, 13), np.nan)
-        trajectory[:, : len(path)] = np.stack(path, axis=1)
+    trajectory = np.full((len(seeds), decisions + 1, 13), np.nan, np.float32)
+    trajectory[:, : len(path)] = np.stack(path, axis=1)
+    closest = {f"closest_{part}": info[f"closest_{part}"].copy() for part in _CLOSEST}
+    approach = state_at(np.stack(path, axis=1), np.stack(clock, axis=1), closest["closest_time"])
     bounds = config.docking
     return Flights(
         policy=name,
@@ -167,7 +167,8 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         digest=digest,
         outcome=info["outcome"].copy(),
         collided=info["collided"].copy(),
-        **{f"closest_{part}": info[f"closest_{part}"].copy() for part in _CLOSEST},
+        **closest,
+        **_split(approach, ports),
         clearance=info["clearance"].copy(),
         time=flown,
         delta_v=force / config.chaser.mass,
@@ -175,8 +176,50 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         decision_seconds=thinking / max(thoughts, 1),
         decision_dt=config.decision_dt,
         bounds=(bounds.speed, math.radians(bounds.attitude_deg), math.radians(bounds.rate_deg)),
-        trajectory=trajectory,
+        trajectory=trajectory if record else None,
     )
+
+
+def state_at(
+    path: Float[np.ndarray, "N T 13"], clock: Float[np.ndarray, "N T"], time: Float[np.ndarray, "N"]
+) -> Float[np.ndarray, "N 6"]:
+    """Position and velocity between the samples of each flight by cubic Hermite interpolation, m and m/s.
+
+    Wrenches are held from sample to sample, so that the acceleration hardly changes in between.
+
+    Args:
+        path: views, NaN after the end of a flight.
+        clock: their times, s, NaN after the end.
+        time: one a flight, s.
+    """
+    rows = np.arange(len(path))
+    last = np.isfinite(clock).sum(axis=1) - 1
+    # The sample before; half a step of a float32 clock must not make it the one before that.
+    before = np.clip((clock <= time[:, None] + 1e-9).sum(axis=1) - 1, 0, np.maximum(last - 1, 0))
+    after = np.minimum(before + 1, last)
+    p0, v0, p1, v1 = (path[rows, i, part] for i in (before, after) for part in (slice(0, 3), slice(3, 6)))
+    step = (clock[rows, after] - clock[rows, before])[:, None]
+    whole = np.where(step > 0, step, 1.0)
+    s = np.clip((time - clock[rows, before])[:, None] / whole, 0, 1)
+    position = (
+        (1 + 2 * s) * (1 - s) ** 2 * p0 + s * (1 - s) ** 2 * step * v0 + s**2 * (3 - 2 * s) * p1
+        - s**2 * (1 - s) * step * v1
+    )  # fmt: skip
+    velocity = 6 * s * (1 - s) * (p1 - p0) / whole + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
+    return np.concatenate([position, velocity], axis=1)
+
+
+def _split(states: Float[np.ndarray, "N 6"], ports: Int[np.ndarray, "N"]) -> dict[str, Float[np.ndarray, "N"]]:
+    """Offset from the hold pose and velocity, along and across the normal of each flight's port."""
+    normal = np.array([port.normal for port in PORTS])[ports]
+    offset, velocity = states[:, :3] - goal_poses()[ports, :3], states[:, 3:]
+    axial, outwards = (np.sum(vector * normal, axis=1) for vector in (offset, velocity))
+    return {
+        "closest_axial": axial,
+        "closest_lateral": np.linalg.norm(offset - axial[:, None] * normal, axis=1),
+        "closest_closing": -outwards,
+        "closest_lateral_speed": np.linalg.norm(velocity - outwards[:, None] * normal, axis=1),
+    }
 
 
 def start_digest(view: Float[np.ndarray, "13"], epoch: Float[np.ndarray, "2"], port: int) -> str:

@@ -9,19 +9,36 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from owm.evaluation.statistics import quantiles_by, rate
 from owm.files import write_atomically
-from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
+from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS, goal_poses
 
 TOLERANCES: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """m; with and without the bounds on speed, attitude and rate they make fourteen definitions of success."""
 OUTCOMES: tuple[str, ...] = ("docked", "escaped", "timeout", "invalid_action", "diverged")
 """What may end a scored flight: evaluation records a collision and flies on."""
-_Z95 = 1.959963984540054
+RANGES: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
+"""m to the hold pose, between which speeds are pooled."""
+
+
+class ContactLimits(NamedTuple):
+    """What a port asks of a vehicle at contact: m/s, m, rad, rad/s."""
+
+    least_closing: float
+    closing: float
+    lateral_speed: float
+    lateral: float
+    attitude: float
+    rate: float
+
+
+IDSS = ContactLimits(0.05, 0.10, 0.04, 0.10, math.radians(4.0), math.radians(0.20))
+"""Initial contact conditions. Source: International Docking System Standard, interface definition document."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +61,12 @@ class Flights:
     closest_rate: Float[np.ndarray, "N"]
     closest_time: Float[np.ndarray, "N"]
     """Errors to the goal pose at the closest approach and when it was: m, m/s, rad, rad/s, s."""
+    closest_axial: Float[np.ndarray, "N"]
+    closest_lateral: Float[np.ndarray, "N"]
+    closest_closing: Float[np.ndarray, "N"]
+    closest_lateral_speed: Float[np.ndarray, "N"]
+    """The same position and velocity split along and across the port's normal: m, outwards positive; m; m/s, inwards
+    positive; m/s."""
     clearance: Float[np.ndarray, "N"]
     """Least distance of the bounding sphere to the hull, m, at or below zero on contact."""
     time: Float[np.ndarray, "N"]
@@ -58,7 +81,10 @@ class Flights:
     bounds: tuple[float, float, float]
     """Speed m/s, attitude rad and rate rad/s that the full definitions demand."""
     trajectory: Float[np.ndarray, "N T+1 13"] | None = field(default=None, repr=False)
-    """True relative view at each decision, NaN after the end."""
+    """True relative view at each decision, float32, NaN after the end."""
+    instants: Int[np.ndarray, "N"] | None = None
+    instants_safe: Int[np.ndarray, "N"] | None = None
+    """Instants 2 s apart, and those of them from which coasting stays clear of the hull (`coasting.add_coasts`)."""
 
     def __len__(self) -> int:
         return len(self.port)
@@ -87,10 +113,16 @@ class Flights:
                 "closest_attitude_deg": math.degrees(self.closest_attitude[i]),
                 "closest_rate_deg": math.degrees(self.closest_rate[i]),
                 "closest_time": float(self.closest_time[i]),
+                "closest_axial": float(self.closest_axial[i]),
+                "closest_lateral": float(self.closest_lateral[i]),
+                "closest_closing": float(self.closest_closing[i]),
+                "closest_lateral_speed": float(self.closest_lateral_speed[i]),
                 "clearance": float(self.clearance[i]),
                 "time": float(self.time[i]),
                 "delta_v": float(self.delta_v[i]),
                 "angular_impulse": float(self.angular_impulse[i]),
+                "instants": "" if self.instants is None else int(self.instants[i]),
+                "instants_safe": "" if self.instants_safe is None else int(self.instants_safe[i]),
                 "digest": str(self.digest[i]),
             }
             for i in range(len(self))
@@ -153,26 +185,36 @@ def succeeded(flights: Flights, tolerance: float, *, full: bool = False, voided:
     return success & ~flights.collided if voided else success
 
 
-def wilson(count: int, total: int, z: float = _Z95) -> tuple[float, float]:
-    """Wilson's score interval of a proportion, 95 % unless `z` says otherwise; (0, 1) without a trial.
+def within_contact_limits(flights: Flights, *, least_closing: bool = True) -> Bool[np.ndarray, "N"]:
+    """Whether each flight, without a collision, was within the docking standard's limits at its closest approach.
 
-    Source: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
+    The hold pose stands for the mating plane, metres in front of it; it is taken as reached within 0.1 m along the
+    normal. The bound on the whole angle and the whole rate is no wider than the standard's, which bounds roll apart.
+
+    Args:
+        least_closing: ask for the closing speed that latches need, too; without it slower is as good.
     """
-    if total == 0:
-        return 0.0, 1.0
-    share = count / total
-    spread = z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    centre, scale = share + z * z / (2 * total), 1 + z * z / total
-    low = (centre - spread) / scale if count else 0.0
-    return low, (centre + spread) / scale if count < total else 1.0
+    limits = IDSS
+    closing = flights.closest_closing
+    met = (np.abs(flights.closest_axial) <= limits.lateral) & (flights.closest_lateral <= limits.lateral)
+    met &= (closing <= limits.closing) & (flights.closest_lateral_speed <= limits.lateral_speed)
+    met &= (flights.closest_attitude <= limits.attitude) & (flights.closest_rate <= limits.rate)
+    met &= closing >= limits.least_closing if least_closing else closing >= 0
+    return met & ~flights.collided
 
 
-def rate(hits: Bool[np.ndarray, "N"]) -> dict[str, float]:
-    """Count, total, rate and its 95 % interval."""
-    count, total = int(np.sum(hits)), len(hits)
-    low, high = wilson(count, total)
-    share = count / total if total else math.nan
-    return {"count": count, "total": total, "rate": share, "low": low, "high": high}
+def safe_share(flights: Flights) -> float | None:
+    """Share of all instants from which coasting stays clear of the hull; None where it was not looked at."""
+    if flights.instants is None or not flights.instants.sum():
+        return None
+    return float(flights.instants_safe.sum() / flights.instants.sum())
+
+
+def speed_by_range(flights: Flights, edges: Sequence[float] = RANGES) -> list[dict[str, float]]:
+    """Quantiles of the speed, m/s, by range to the hold pose, m, over all decisions."""
+    goals = goal_poses()[flights.port, :3]
+    distance = np.linalg.norm(flights.trajectory[..., :3] - goals[:, None], axis=-1)
+    return quantiles_by(distance.ravel(), np.linalg.norm(flights.trajectory[..., 3:6], axis=-1).ravel(), edges)
 
 
 def score(flights: Flights) -> dict[str, Any]:
@@ -180,8 +222,9 @@ def score(flights: Flights) -> dict[str, Any]:
 
     Returns:
         `success`: one entry per definition, named like "1 m full voided"; `collision`, `escape`, `timeout`,
-        `docked`: rates as `rate` gives them; `median_time` s and `median_delta_v` m/s of flights within 1 m
-        with no collision (None without any); `least_clearance` m.
+        `docked`, `idss`, `idss_or_slower`: rates as `rate` gives them; `median_time` s, `median_delta_v` m/s and
+        `median_angular_impulse` N m s of flights within 1 m with no collision (None without any); `least_clearance`
+        m; `safe_share` of instants (None where not looked at).
     """
     good = succeeded(flights, 1.0)
     return {
@@ -193,8 +236,12 @@ def score(flights: Flights) -> dict[str, Any]:
         "escape": rate(flights.outcome == "escaped"),
         "timeout": rate(flights.outcome == "timeout"),
         "docked": rate(flights.outcome == "docked"),
+        "idss": rate(within_contact_limits(flights)),
+        "idss_or_slower": rate(within_contact_limits(flights, least_closing=False)),
         "median_time": float(np.median(flights.time[good])) if good.any() else None,
         "median_delta_v": float(np.median(flights.delta_v[good])) if good.any() else None,
+        "median_angular_impulse": float(np.median(flights.angular_impulse[good])) if good.any() else None,
+        "safe_share": safe_share(flights),
         "least_clearance": float(np.min(flights.clearance)) if len(flights) else None,
     }
 
@@ -232,6 +279,7 @@ def write_results(flights: Mapping[str, Flights], folder: str | os.PathLike) -> 
             "starts": each.starts_digest,
             "flights": len(each),
             "decision_seconds": each.decision_seconds,
+            "speed_by_range": None if each.trajectory is None else speed_by_range(each),
             "scores": score_groups(each),
         }
         for name, each in flights.items()

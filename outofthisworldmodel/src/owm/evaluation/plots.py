@@ -10,10 +10,12 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
-from owm.evaluation.flights import TOLERANCES, Flights, rate, succeeded
+from owm.evaluation.calibration import Calibration
+from owm.evaluation.flights import TOLERANCES, Flights, speed_by_range, succeeded
 from owm.evaluation.prediction import PredictionError
+from owm.evaluation.statistics import rate
 from owm.files import write_atomically
-from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes
+from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, PORTS, TRAIN_PORTS, goal_poses, hull_boxes
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444", "#8A6FBF")
 """Colours that the colour-blind can tell apart."""
@@ -220,7 +222,65 @@ def tolerance_figure(flights: Sequence[Flights]) -> Figure:
         _tidy(axes)
     panels[0].set_ylabel("flights without collision [%]")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    return figure
+
+
+def port_figure(flights: Sequence[Flights], quoted: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
+    """Collision-free flights within 1 m by port with Wilson intervals, and quoted percentages as marks.
+
+    Args:
+        flights: of each policy.
+        quoted: name to percent by port, of others.
+    """
+    figure = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    order = [*TRAIN_PORTS, *HELD_OUT_PORTS]
+    width = 0.84 / len(flights)
+    for n, each in enumerate(flights):
+        names = np.array(PORT_NAMES)[each.port]
+        numbers = [rate(succeeded(each.select(names == port), 1.0)) for port in order]
+        shares = np.array([100 * x["rate"] if x["total"] else np.nan for x in numbers])
+        errors = np.abs(np.array([[100 * x["low"], 100 * x["high"]] for x in numbers]).T - shares)
+        place = np.arange(len(order)) + (n - (len(flights) - 1) / 2) * width
+        color = PALETTE[n % len(PALETTE)]
+        axes.bar(place, shares, width * 0.9, color=color, label=each.policy, zorder=2)
+        axes.errorbar(place, shares, errors, fmt="none", ecolor=_INK, elinewidth=0.7, capsize=1.5, zorder=3)
+    for (name, values), mark in zip((quoted or {}).items(), "D^s"):
+        places = [i for i, port in enumerate(order) if port in values]
+        axes.plot(places, [values[order[i]] for i in places], mark, ms=8, mfc="white", mec="#a01818", mew=1.6,
+                  label=name, zorder=4)  # fmt: skip
+    axes.axvline(len(TRAIN_PORTS) - 0.5, color=_FAINT, lw=1, ls="--")
+    axes.text(len(TRAIN_PORTS) - 0.45, 108, "held out", fontsize=9, color=_INK)
+    axes.set_xticks(range(len(order)), [port.replace("_", " ") for port in order])
+    axes.set(ylim=(0, 115), ylabel="within 1 m, no collision [%]")
+    _tidy(axes)
+    axes.grid(visible=False, axis="x")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    return figure
+
+
+def speed_figure(flights: Sequence[Flights]) -> Figure:
+    """Speed against range to the hold pose: medians, and the middle four fifths as bands."""
+    figure = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
+    axes = figure.subplots()
+    edges = np.geomspace(0.1, 300.0, 36)
+    for n, each in enumerate(flights):
+        rows = [row for row in speed_by_range(each, edges) if row["count"] >= 10]
+        middle = [np.sqrt(row["from"] * row["to"]) for row in rows]
+        color = PALETTE[n % len(PALETTE)]
+        axes.plot(middle, [row["p50"] for row in rows], color=color, lw=_nested(n)["lw"], label=each.policy)
+        low, high = ([row[key] for row in rows] for key in ("p10", "p90"))
+        axes.fill_between(middle, low, high, color=color, alpha=0.12, lw=0)
+    axes.axhspan(0.05, 0.10, color=_FAINT, alpha=0.25, lw=0, zorder=0)
+    axes.text(280, 0.07, "closing speed of the docking standard", fontsize=8, color=_INK, va="center")
+    axes.set(xscale="log", yscale="log", xlabel="range to the hold pose [m]", ylabel="speed [m/s]")
+    axes.set_xlim(0.1, 300)
+    axes.invert_xaxis()
+    _tidy(axes)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
     return figure
 
 
@@ -253,21 +313,69 @@ def loss_figure(
 
 def prediction_figure(groups: Mapping[str, Sequence[PredictionError]]) -> Figure:
     """Mean prediction error against horizon, a row of panels per group of windows."""
-    quantities = (("position_m", "position error [m]"), ("attitude_deg", "attitude error [deg]"))
-    figure = Figure(figsize=(11, 3.7 * len(groups)), layout="constrained", facecolor="white")
-    panels = figure.subplots(len(groups), 2, squeeze=False, sharex=True, sharey="col")
+    quantities = (("position_m", "m"), ("velocity_mps", "m/s"), ("attitude_deg", "deg"), ("rate_degps", "deg/s"))
+    figure = Figure(figsize=(16, 3.4 * len(groups) + 0.5), layout="constrained", facecolor="white")
+    panels = figure.subplots(len(groups), 4, squeeze=False, sharex=True, sharey="col")
     names = list(dict.fromkeys(each.name for group in groups.values() for each in group))
     for row, (title, group) in zip(panels, groups.items()):
-        for axes, (quantity, label) in zip(row, quantities):
+        for axes, (quantity, unit) in zip(row, quantities):
+            for each in group:
+                _curve(axes, names, each.name, np.asarray(each.horizons) * each.dt, each.mean(quantity))
+            axes.set(yscale="log", ylabel=f"{quantity.split('_')[0]} error [{unit}]")
+            _tidy(axes)
+        row[0].set_title(title, loc="left", fontsize=10, color=_INK)
+    _horizons(figure, panels)
+    return figure
+
+
+def calibration_figure(groups: Mapping[str, Sequence[Calibration]]) -> Figure:
+    """Coverage of central intervals (dashed: nominal) and spread over error against horizon, a row per group."""
+    groups = {title: group for title, group in groups.items() if group}
+    figure = Figure(figsize=(16, 3.4 * len(groups) + 0.5), layout="constrained", facecolor="white")
+    panels = figure.subplots(len(groups), 4, squeeze=False, sharex=True, sharey="col")
+    names = list(dict.fromkeys(each.name for group in groups.values() for each in group))
+    for row, (title, group) in zip(panels, groups.items()):
+        for half, (k, quantity) in enumerate(((0, "position"), (2, "attitude"))):
+            covered, ratio = row[2 * half], row[2 * half + 1]
             for each in group:
                 seconds = np.asarray(each.horizons) * each.dt
-                color = PALETTE[names.index(each.name) % len(PALETTE)]
-                width = _nested(names.index(each.name))["lw"]
-                axes.plot(seconds, each.mean(quantity), color=color, lw=width, label=each.name)
-            axes.set(yscale="log", ylabel=label)
-            axes.set_title(title, loc="left", fontsize=10, color=_INK)
-            _tidy(axes)
-        row[0].legend(fontsize=8, frameon=False)
+                for level, marker in zip(range(len(each.levels)), ("o", "s", "^", "d", "v")):
+                    _curve(covered, names, each.name, seconds, 100 * each.coverage[:, k, level], marker, level == 0)
+                    covered.axhline(100 * each.levels[level], color=_FAINT, lw=0.8, ls="--", zorder=1)
+                _curve(ratio, names, each.name, seconds, each.spread[:, k] / np.maximum(each.error[:, k], 1e-12), "o")
+            ratio.axhline(1.0, color=_FAINT, lw=0.8, ls="--", zorder=1)
+            covered.set(ylim=(-3, 103), ylabel=f"{quantity} covered [%]")
+            low, high = ratio.get_ylim()
+            ratio.set(
+                yscale="log", ylim=(min(max(low, 0.01), 0.4), max(high, 2.5)), ylabel=f"{quantity} spread / error"
+            )
+            ratio.set_yticks(*_ticks(ratio.get_ylim(), (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)))
+            for axes in (covered, ratio):
+                axes.set_xscale("log")
+                axes.set_xticks(*_ticks(axes.get_xlim(), (0.25, 0.5, 1, 2, 4, 8, 16, 32)))
+                axes.minorticks_off()
+                _tidy(axes)
+        row[0].set_title(title, loc="left", fontsize=10, color=_INK)
+    _horizons(figure, panels)
+    return figure
+
+
+def _curve(axes: Axes, names: Sequence[str], name: str, x, y, marker: str = "", label: bool = True) -> None:
+    n = names.index(name)
+    style = {"color": PALETTE[n % len(PALETTE)], "ls": "-" if n < len(PALETTE) else "--"}
+    axes.plot(
+        x, y, marker=marker, ms=4, lw=_nested(n)["lw"] if not marker else 1.4, label=name if label else None, **style
+    )
+
+
+def _ticks(limits: tuple[float, float], ticks: Sequence[float]) -> tuple[list[float], list[str]]:
+    """Those of the ticks within the limits, and how to write them."""
+    within = [tick for tick in ticks if limits[0] <= tick <= limits[1]]
+    return within, [f"{tick:g}" for tick in within]
+
+
+def _horizons(figure: Figure, panels: np.ndarray) -> None:
     for axes in panels[-1]:
         axes.set_xlabel("horizon [s]")
-    return figure
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(len(labels), 8))

@@ -4,64 +4,98 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from owm.evaluation.flights import TOLERANCES, Flights, rate, score, succeeded
-from owm.evaluation.prediction import PredictionError
+from owm.evaluation.calibration import Calibration
+from owm.evaluation.flights import TOLERANCES, Flights, join, score, succeeded
+from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.report import Table
+from owm.evaluation.statistics import Pairs, holm, rate, seeded_rate
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 INTERVALS = "brackets: 95 % Wilson intervals"
+SEEDED = f"{INTERVALS}, of rows with several trained seeds bootstrapped over seeds, then flights, if that is wider"
+CONTACT = (
+    "IDSS or slower: at closest approach within the rates that the docking standard allows at contact (closing up to "
+    "0.10 m/s, 0.04 m/s and 0.10 m across, 4 deg, 0.20 deg/s), its least closing speed of 0.05 m/s left out. Safe "
+    "coasts: share of instants, every 2 s of flight, from which 360 s without thrust stay clear of the hull."
+)
 
 
 def percent(numbers: Mapping[str, float], interval: bool = True) -> str:
     """A rate as "92 % [74, 98]"; a dash without a trial."""
     if not numbers["total"]:
         return "–"
-    text = f"{100 * numbers['rate']:.0f} %"
-    return f"{text} [{100 * numbers['low']:.0f}, {100 * numbers['high']:.0f}]" if interval else text
+    text = f"{_whole(100 * numbers['rate'])} %"
+    return f"{text} [{_whole(100 * numbers['low'])}, {_whole(100 * numbers['high'])}]" if interval else text
 
 
-def docking_table(flights: Sequence[Flights], strong: Sequence[str] = ()) -> Table:
-    """The headline: success, events and medians of each policy over all ports."""
-    rows = []
+def _whole(value: float) -> str:
+    """A percentage, with decimals where a whole number would say none or all."""
+    return f"{value:.0f}" if 1 <= value <= 99 or value in (0, 100) else f"{value:.2f}".rstrip("0").rstrip(".")
+
+
+def docking_table(
+    flights: Sequence[Flights | Sequence[Flights]],
+    strong: Sequence[str] = (),
+    given: Mapping[str, str] | None = None,
+    by_split: bool = False,
+) -> Table:
+    """The headline: success, events and medians of each policy over all ports.
+
+    Args:
+        flights: of each policy, or of each of its trained seeds.
+        strong: policies to set apart.
+        given: what each policy was given, for a column of its own.
+        by_split: strict success on train and on held-out ports, too.
+    """
+    rows, several = [], False
     for each in flights:
-        scores = score(each)
+        seeds = [each] if isinstance(each, Flights) else list(each)
+        pooled, several = join(seeds), several or len(seeds) > 1
+        scores, names = score(pooled), np.array(PORT_NAMES)[seeds[0].port]
+        strict = [succeeded(one, 0.1, full=True) for one in seeds]
+        splits = [[hits[np.isin(names, ports)] for hits in strict] for ports in (TRAIN_PORTS, HELD_OUT_PORTS)]
         rows.append(
             [
-                each.policy,
-                str(len(each)),
-                percent(rate(succeeded(each, 1.0))),
-                percent(rate(succeeded(each, 0.1, full=True))),
-                percent(scores["collision"], False),
-                percent(scores["escape"], False),
-                percent(scores["timeout"], False),
+                pooled.policy,
+                str(len(pooled)) if len(seeds) == 1 else f"{len(seeds)} × {len(seeds[0])}",
+                percent(seeded_rate([succeeded(one, 1.0) for one in seeds])),
+                percent(seeded_rate(strict)),
+                *([" / ".join(percent(seeded_rate(part), False) for part in splits)] if by_split else []),
+                percent(seeded_rate([one.collided for one in seeds]), by_split),
+                f"{percent(scores['escape'], False)} / {percent(scores['timeout'], False)}",
+                percent(scores["idss_or_slower"], False),
+                "–" if scores["safe_share"] is None else f"{_whole(100 * scores['safe_share'])} %",
                 _number(scores["median_time"], "{:.0f}"),
                 _number(scores["median_delta_v"], "{:.1f}"),
                 _number(scores["least_clearance"], "{:.2f}"),
-                f"{1000 * each.decision_seconds:.2g}",
+                f"{1000 * pooled.decision_seconds:.2g}",
+                *([] if given is None else [given[pooled.policy]]),
             ]
         )
-    return Table(
-        [
-            "policy",
-            "flights",
-            "1 m, no collision",
-            "strict, no collision",
-            "collided",
-            "escaped",
-            "timed out",
-            "time s",
-            "Δv m/s",
-            "clearance m",
-            "ms a decision",
-        ],
-        rows,
+    columns = [
+        "policy",
+        "flights",
+        "1 m, no collision",
+        "strict, no collision",
+        *(["strict, train / held out"] if by_split else []),
+        "collided",
+        "escaped / timed out",
+        "IDSS or slower",
+        "safe coasts",
+        "time s",
+        "Δv m/s",
+        "clearance m",
+        "ms a decision",
+        *([] if given is None else ["given"]),
+    ]
+    caption = (
         "1 m: closest approach of the chaser's centre to the hold pose; strict: 0.1 m, 0.5 m/s, 5 deg and "
-        f"0.5 deg/s there; {INTERVALS}. A collision is recorded and the flight goes on, but it fails every "
-        "success column. Time and Δv: medians over the flights of the 1 m column; clearance: the least of all; ms a "
-        "decision: mean over all decisions; planned rows replan at every eighth, scripted rows are computed for "
-        "all flights at once.",
-        [i for i, each in enumerate(flights) if each.policy in strong],
+        f"0.5 deg/s there; {SEEDED if several else INTERVALS}. A collision is recorded and the flight goes on, but it "
+        f"fails every success column. {CONTACT} Time and Δv: medians over the flights of the 1 m column; clearance: "
+        "the least of all; ms a decision: mean over all decisions; planned rows replan at every eighth, scripted rows "
+        "are computed for all flights at once."
     )
+    return Table(columns, rows, caption, [i for i, row in enumerate(rows) if row[0] in strong])
 
 
 def port_table(flights: Sequence[Flights]) -> Table:
@@ -141,6 +175,51 @@ def failures(flights: Sequence[Flights]) -> Table:
     return Table(columns, rows, "Flights that collided or never came within 1 m.")
 
 
+def condition_table(
+    cells: Mapping[tuple[str, str], Sequence[Flights]], tolerance: float = 0.1, *, full: bool = True
+) -> Table:
+    """Collision-free success of each policy (rows) under each condition (columns).
+
+    Args:
+        cells: flights of each trained seed by policy and condition.
+    """
+    policies, conditions = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+    rows = []
+    for policy in policies:
+        seeds = [cells.get((policy, condition), ()) for condition in conditions]
+        hits = [[succeeded(one, tolerance, full=full) for one in some] for some in seeds]
+        rows.append([policy, *(percent(seeded_rate(some)) if some else "–" for some in hits)])
+    kind, several = "all bounds" if full else "position only", any(len(seeds) > 1 for seeds in cells.values())
+    caption = f"Flights within {tolerance:g} m ({kind}) with no collision; {SEEDED if several else INTERVALS}."
+    return Table(["policy", *conditions], rows, caption)
+
+
+def pairs_table(families: Sequence[tuple[str, Sequence[Pairs]]]) -> Table:
+    """Paired comparisons, one line a pair of policies: discordant starts and Holm's p-value over all in the table.
+
+    Args:
+        families: what counts as success, and the pairs, the same ones in each.
+    """
+    adjusted = iter(holm([each.p for _, pairs in families for each in pairs]))
+    p = [[next(adjusted) for _ in pairs] for _, pairs in families]
+    rows = []
+    for i, each in enumerate(families[0][1]):
+        cells = []
+        for k, (_, pairs) in enumerate(families):
+            pair = pairs[i]
+            cells += [f"{100 * pair.difference:+.1f}", f"{pair.first_only} : {pair.second_only}", f"{p[k][i]:.2g}"]
+        rows.append([each.first, each.second, str(each.total), *cells])
+    columns = ["policy", "against", "starts"]
+    for name, _ in families:
+        columns += [f"{name}: difference, points", "first only : second only", "p"]
+    caption = (
+        "On the starts that both flew. p: exact two-sided McNemar test, adjusted by Holm over all "
+        f"{sum(len(pairs) for _, pairs in families)} tests of this table. Rows with several trained seeds enter with "
+        "their first."
+    )
+    return Table(columns, rows, caption)
+
+
 def prediction_table(errors: Sequence[PredictionError], seconds: Sequence[float] = (0.25, 1, 4, 8, 16)) -> Table:
     """Mean position and attitude error of each model at some horizons."""
     rows = []
@@ -155,6 +234,31 @@ def prediction_table(errors: Sequence[PredictionError], seconds: Sequence[float]
                 cells.append("–")
         rows.append([each.name, *cells])
     return Table(["position m / attitude deg at", *(f"{s:g} s" for s in seconds)], rows)
+
+
+def error_table(errors: Sequence[PredictionError], seconds: Sequence[float] = (1, 4, 16)) -> Table:
+    """Mean errors of all four kinds of each model at some horizons."""
+    rows = []
+    for each in errors:
+        at = [each.horizons.index(round(s / each.dt)) for s in seconds]
+        means = np.array([each.mean(quantity) for quantity in QUANTITIES])
+        rows.append([each.name, *(" / ".join(f"{mean:.2g}" for mean in means[:, i]) for i in at)])
+    return Table(["m / m/s / deg / deg/s at", *(f"{s:g} s" for s in seconds)], rows)
+
+
+def calibration_table(calibrations: Sequence[Calibration], seconds: Sequence[float] = (0.25, 1, 4, 16)) -> Table:
+    """Coverage, CRPS and spread over error of position and attitude at some horizons."""
+    rows = []
+    for each in calibrations:
+        for k, kind, unit in ((0, "position", "m"), (2, "attitude", "deg")):
+            for s in seconds:
+                i = each.horizons.index(round(s / each.dt))
+                cover = " / ".join(f"{100 * c:.0f}" for c in each.coverage[i, k])
+                ratio = each.spread[i, k] / max(each.error[i, k], 1e-12)
+                cells = [f"{s:g}", cover, f"{each.crps[i, k]:.3g} {unit}", f"{ratio:.2f}"]
+                rows.append([f"{each.name} ({each.outcome})", kind, *cells])
+    levels = " / ".join(f"{100 * level:g}" for level in calibrations[0].levels)
+    return Table(["model (against)", "of", "horizon s", f"coverage of {levels} %", "CRPS", "spread / error"], rows)
 
 
 def to_rich(table: Table, title: str = ""):

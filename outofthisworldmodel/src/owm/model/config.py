@@ -14,6 +14,8 @@ class ModelConfig(BaseModel):
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
     skip: Literal["bilinear", "none"] = "bilinear"
     """What the latent stream adds to the network's prediction: a least-squares map of its features, or nothing."""
+    backbone: Literal["transformer", "gru", "mlp"] = "transformer"
+    """What relates the tokens of a history: attention, or a recurrent or a feed-forward network of the same size."""
     dt: PositiveFloat = 0.25
     """Seconds a step."""
     history_length: PositiveInt = 8
@@ -25,7 +27,7 @@ class ModelConfig(BaseModel):
     heads: PositiveInt = 4
     """Attention heads."""
     window: PositiveInt = 8
-    """Steps that temporal attention reaches back, the current one included."""
+    """Steps that attention or the feed-forward network reach back, the current one included."""
     mlp_ratio: PositiveInt = 2
     """Hidden width of a block's perceptron, in token dimensions."""
     head_width: PositiveInt = 32

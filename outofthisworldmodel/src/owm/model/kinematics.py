@@ -161,6 +161,13 @@ def view_error(predicted: Float[Array, "13"], actual: Float[Array, "13"]) -> Flo
     return jnp.concatenate([predicted[:6] - actual[:6], attitude, predicted[10:] - actual[10:]])
 
 
+def displaced(view: Float[Array, "13"], error: Float[Array, "12"]) -> Float[Array, "13"]:
+    """Return the view whose `view_error` to the given one is `error`."""
+    attitude = multiply(view[6:10], quat_from_rotation_vector(error[6:9]))
+    attitude = attitude / jnp.linalg.norm(attitude)
+    return jnp.concatenate([view[:6] + error[:6], attitude, view[10:] + error[9:]])
+
+
 def motion_error(predicted: Motion, actual: Motion) -> Float[Array, "4"]:
     """Return squared errors between motions of one anchor: position, velocity, attitude and rate, SI units.
 

@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key, PyTree
 
+from owm.model.backbones import BACKBONES, SequenceModel
 from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.interface import History
 from owm.model.streams import STREAMS, Stream
-from owm.model.transformer import Backbone, Memory, Perceptron
+from owm.model.transformer import Perceptron
 
 
 class Network(eqx.Module):
@@ -21,7 +22,7 @@ class Network(eqx.Module):
     stream: Stream
     action_encoder: Perceptron
     kind: Float[Array, "n+1 d"]
-    backbone: Backbone
+    backbone: SequenceModel
     head: FlowHead
 
     def __init__(self, config: ModelConfig, *, key: Key[Array, ""], dtype: jnp.dtype = jnp.float32):
@@ -29,7 +30,7 @@ class Network(eqx.Module):
         self.stream = STREAMS[config.stream](config, dtype, key=k_stream)
         self.action_encoder = Perceptron(6, 2 * config.width, config.width, dtype, key=k_action)
         self.kind = 0.1 * jax.random.normal(k_kind, (self.stream.token_count + 1, config.width), dtype)
-        self.backbone = Backbone(config, dtype, key=k_backbone)
+        self.backbone = BACKBONES[config.backbone](config, self.stream.token_count + 1, dtype, key=k_backbone)
         self.head = FlowHead(config, self.stream.residual_size, dtype, key=k_head)
 
     def tokens(self, statistics: PyTree, carry: Any, action: Float[Array, "6"]) -> Float[Array, "n+1 d"]:
@@ -52,10 +53,10 @@ class Params(NamedTuple):
 
 
 class ModelState(NamedTuple):
-    """Where a prediction stands: the carry at the current step, and what attention remembers of earlier ones."""
+    """Where a prediction stands: the carry at the current step, and what the backbone remembers of earlier ones."""
 
     carry: Any
-    memory: Memory
+    memory: PyTree
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ class LearnedWorldModel:
         last = jax.tree.map(lambda x: x[-1], carries)
         return ModelState(last, memory), carries, outputs[:, : network.stream.token_count]
 
-    def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, Memory]:
+    def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, PyTree]:
         """Run the backbone on the current step under an action; return its output for the stream's tokens."""
         network, statistics = params
         output, memory = network.backbone.step(network.tokens(statistics, state.carry, action), state.memory)

@@ -268,7 +268,7 @@ class PlannerPolicy:
             began = time.perf_counter()
             params = self.model.params
             if self._learner is not None:
-                params = self._learner.params(jax.tree.map(lambda x: x[slot], state.known))
+                params = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
             with jax.enable_x64(self._wide):  # of this thread
                 output = replan(
                     self.model,
@@ -316,6 +316,12 @@ def replan_slot() -> Callable[..., tuple[Float[Array, "C 6"], PlannerState]]:
         return plan(model, shape, params, tuning, field, port, goal, history, committed, planner, key)
 
     return jax.jit(replan, static_argnums=(0, 1), compiler_options=compiler_options(libraries=False))
+
+
+@partial(jax.jit, static_argnums=0)
+def _learned(learner, known):
+    """One slot's parameters."""
+    return learner.params(known)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -1,0 +1,102 @@
+"""Least squares estimated again in flight: what the chaser's actions do here and now."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from owm.model.kinematics import increments, to_motion
+from owm.model.linear import LinearMap, linear_increment
+
+
+class Estimate(NamedTuple):
+    """Recursive least squares in information form, one row an output of the map (body velocity, then body rate).
+
+    Attributes:
+        linear: the fit that it starts from; action and bias are re-estimated, the rest stays.
+        information: of the six action coefficients, each for the whole range of its action, and the bias.
+        moment: information times coefficients.
+        squares: sum of squared prediction errors of each output, forgotten alike, and how many that are.
+        count: see `squares`.
+    """
+
+    linear: LinearMap
+    information: Float[Array, "6 7 7"]
+    moment: Float[Array, "6 7"]
+    squares: Float[Array, "6"]
+    count: Float[Array, ""]
+
+
+@dataclass(frozen=True)
+class OnlineLeastSquares:
+    """Follows the action map of a `LeastSquares` model by recursive least squares with forgetting.
+
+    Forgetting leads back to the fit, not to ignorance, so that what a flight does not excite neither drifts nor winds
+    up (stabilised forgetting: Kulhavy and Zarrop (1993), On a general concept of forgetting, Int. J. Control 58(4)).
+    Transitions are weighed by the size of the prediction errors so far, since it is not told the sensors' noise.
+
+    Args:
+        limit: largest action, N and N m.
+        dt: seconds a step.
+        forgetting: share of what is known that outlives a step; 0.998 is a memory of two minutes at 4 Hz.
+        spread: standard deviation of a coefficient about the fit, as a share of the largest in its row; of the bias a
+            third of that.
+    """
+
+    limit: tuple[float, ...]
+    dt: float = 0.25
+    forgetting: float = 0.998
+    spread: float = 0.3
+
+    def init(self, params: LinearMap) -> Estimate:
+        """Start from a fit."""
+        coefficients = self._coefficients(params)
+        prior = self._prior(coefficients)
+        information = jax.vmap(jnp.diag)(prior)
+        error = 0.1 * jnp.max(jnp.abs(coefficients), axis=1)  # a guess, outweighed in a few steps
+        return Estimate(params, information, prior * coefficients, error**2, jnp.ones((), error.dtype))
+
+    def learn(
+        self, known: Estimate, before: Float[Array, "13"], action: Float[Array, "6"], after: Float[Array, "13"]
+    ) -> Estimate:
+        """Take in one transition between measurements."""
+        first = to_motion(before, before)
+        fitted, drift = linear_increment(known.linear, first, action)
+        inputs = jnp.concatenate([action / jnp.asarray(self.limit, action.dtype), jnp.ones(1, action.dtype)])
+        start = self._coefficients(known.linear)
+        # What the terms that stay explain is taken off.
+        change = increments(first, to_motion(after, before), self.dt, drift) - (fitted - start @ inputs)
+        error = change - self._solved(known) @ inputs
+
+        keep, prior = self.forgetting, self._prior(start)
+        squares, count = keep * known.squares + error**2, keep * known.count + 1
+        weight = count / squares
+        information = keep * known.information + (1 - keep) * jax.vmap(jnp.diag)(prior)
+        moment = keep * known.moment + (1 - keep) * prior * start
+        return Estimate(
+            known.linear,
+            information + weight[:, None, None] * jnp.outer(inputs, inputs),
+            moment + (weight * change)[:, None] * inputs,
+            squares,
+            count,
+        )
+
+    def params(self, known: Estimate) -> LinearMap:
+        """The map as estimated."""
+        solved = self._solved(known)
+        action = solved[:, :6] / jnp.asarray(self.limit, solved.dtype)
+        return known.linear._replace(action=action, bias=solved[:, 6])
+
+    def _coefficients(self, linear: LinearMap) -> Float[Array, "6 7"]:
+        scaled = jnp.asarray(linear.action) * jnp.asarray(self.limit, linear.action.dtype)
+        return jnp.concatenate([scaled, jnp.asarray(linear.bias)[:, None]], axis=1)
+
+    def _prior(self, coefficients: Float[Array, "6 7"]) -> Float[Array, "6 7"]:
+        """The information of each coefficient by itself before the flight."""
+        deviation = self.spread * jnp.max(jnp.abs(coefficients[:, :6]), axis=1)
+        return jnp.repeat(deviation[:, None] ** -2, 7, axis=1) * jnp.asarray([1.0] * 6 + [9.0], coefficients.dtype)
+
+    def _solved(self, known: Estimate) -> Float[Array, "6 7"]:
+        return jax.vmap(lambda a, b: jax.scipy.linalg.solve(a, b, assume_a="pos"))(known.information, known.moment)

@@ -1,0 +1,172 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from owm.evaluation.coasting import COAST, coasts_clear, transitions
+from owm.evaluation.conditions import OFF_NOMINAL, WRONG_MAPS, Condition, condition
+from owm.evaluation.matrix import Matrix, Study, read_matrix, row_name, rows_of
+from owm.evaluation.matrix_report import given_of, write_matrix_report
+from owm.evaluation.matrix_run import Pace, run_matrix
+from owm.evaluation.plots import hull_distance
+from owm_envs.geodesic import load_field
+from owm_envs.station import hull_boxes
+
+TABLE = """
+flights = 20
+ports = ["zvezda_aft"]
+[policies]
+exact = "oracle-mppi"
+PD = "dock"
+[[studies]]
+title = "first"
+policies = ["exact", "PD"]
+planners = ["geodesic", "plain, no corrector"]
+fewer = { "exact, plain, no corrector" = 4 }
+against = ["PD"]
+[[studies]]
+title = "off-nominal"
+policies = ["PD"]
+conditions = ["nominal", "heavy"]
+flights = 5
+"""
+
+
+@pytest.fixture
+def table(tmp_path):
+    (tmp_path / "table.toml").write_text(TABLE)
+    return read_matrix(tmp_path / "table.toml")
+
+
+def test_rows_are_policies_times_planners_times_conditions_each_once(table):
+    rows = {row_name(*row.key): row.flights for row in rows_of(table)}
+    assert rows == {"exact": 20, "exact, plain, no corrector": 4, "PD": 20, "PD, heavy": 5}
+    assert len({row.folder for row in rows_of(table)}) == 4
+    seeds = table.model_copy(update={"policies": {"exact": ("oracle-mppi", "oracle-mppi"), "PD": "dock"}})
+    assert [row.copy for row in rows_of(seeds)] == [0, 1, 0, 1, 0, 0]
+    studies = tuple(study.model_copy(update={"seeds": 1}) for study in seeds.studies)
+    assert [row.copy for row in rows_of(seeds.model_copy(update={"studies": studies}))] == [0, 0, 0, 0]
+
+
+def test_what_a_row_was_given_leaves_out_what_its_planner_does(table):
+    assert "field" in given_of(table, ("exact", "geodesic", "nominal")).hull
+    plain = given_of(table, ("exact", "plain, no corrector", "nominal"))
+    assert plain.hull == "clearance only, no field" and plain.feedback == "no"
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ('"exact", "PD"]\nplanners', '"exat", "PD"]\nplanners', "exat"),
+        ('"plain, no corrector"]', '"plane"]', "plane"),
+        ('"zvezda_aft"', '"zvezda"', "zvezda_aft"),
+        ("flights = 5", "flight = 5", "flight"),
+    ],
+)
+def test_mistakes_in_a_table_are_named(tmp_path, old, new, message):
+    assert old in TABLE
+    (tmp_path / "t.toml").write_text(TABLE.replace(old, new))
+    with pytest.raises(ValueError, match=message):
+        read_matrix(tmp_path / "t.toml")
+
+
+def test_conditions_change_what_is_flown_and_not_what_is_told():
+    nominal = condition("nominal")
+    for name in OFF_NOMINAL:
+        assert condition(name).told() == nominal.told() and condition(name).flown() != nominal.flown()
+    assert condition("heavy").flown().chaser.mass == 15_000 and condition("light").flown().chaser.mass == 9_000
+    assert condition("delay").flown().structure.longest_delay == 5 and condition("on-off").flown().structure.on_off
+    assert condition("biased").flown().structure.biased and condition("biased").flown().noise.position == 0.05
+    assert condition("noncooperative").told() == condition("noncooperative").flown() != nominal.told()
+    for name in WRONG_MAPS:
+        assert condition(name).flown() == nominal.flown() and condition(name).map_boxes() is not None
+    with pytest.raises(ValueError, match="heavy"):
+        condition("heavi")
+
+
+def test_wrong_maps_are_wrong_by_what_they_say():
+    boxes = hull_boxes()
+    np.testing.assert_allclose(np.linalg.norm(condition("map shifted").map_boxes() - boxes, axis=-1), 0.3)
+    turned = condition("map turned").map_boxes()
+    volume = np.prod(turned[:, 1] - turned[:, 0], axis=1).sum()
+    assert volume == pytest.approx(np.prod(boxes[:, 1] - boxes[:, 0], axis=1).sum())
+    # The farthest corner moves by its distance from the axis times a degree.
+    arm = boxes[np.argmax(boxes[:, 1, 0]), 1]
+    off_axis = np.linalg.norm(arm - arm.sum() / 3)
+    moved = np.min(np.linalg.norm(turned[:, 1] - arm, axis=1))
+    assert moved == pytest.approx(np.radians(1.0) * off_axis, rel=0.1)
+    gone = {tuple(b.ravel()) for b in boxes} - {tuple(b.ravel()) for b in condition("map without array").map_boxes()}
+    assert 30 < len(gone) < 60 and min(b[0] for b in gone) > 25 and min(b[5] for b in gone) > 6
+
+
+def test_a_coast_called_clear_is_clear_of_the_boxes():
+    rng = np.random.default_rng(0)
+    place = rng.normal(size=(400, 3))
+    place *= rng.uniform(20, 60, (400, 1)) / np.linalg.norm(place, axis=1, keepdims=True)
+    speed = rng.uniform(0, 0.6, (400, 1))
+    states = np.concatenate([place, rng.normal(size=(400, 3)) * speed / 3**0.5], axis=1).astype(np.float32)
+    n = 1.127e-3
+    clear = coasts_clear(load_field(), states, n)
+    paths = np.einsum("tij,nj->nti", transitions(n), states)
+    least = hull_distance(paths, 2.25).min(axis=1)
+    assert 100 < clear.sum() < 350
+    assert (least[clear] > 0).all() and clear[least > 1.0].all()
+    # Nothing moves about a point of the orbit; a metre ahead and at rest stays there.
+    still = transitions(n) @ np.array([0.0, -50, 0, 0, 0, 0])
+    np.testing.assert_allclose(still, np.tile([0.0, -50, 0], (int(COAST) + 1, 1)), atol=1e-4)
+
+
+class Killed(Exception):
+    pass
+
+
+def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
+    # Ten seconds of a simple world: enough to see what is flown when, too little to dock.
+    simple = Condition("simple", fidelity="iss", hidden={"precision": "float32", "horizon": 10.0})
+    study = Study(title="Simple", policies=("PD", "drift"), against=("PD",), figures=True, trajectories=("PD",))
+    matrix = Matrix(
+        flights=2, ports=("zvezda_aft", "unity_nadir"), policies={"PD": "dock", "drift": "random"}, studies=(study,)
+    )
+    seen = []
+
+    def kill(done, total, what, how_far):
+        seen.append(what)
+        if "unity_nadir" in what:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_matrix(matrix, tmp_path, conditions={"nominal": simple}, report=kill)
+    first = tmp_path / "flights" / "PD" / "own" / "nominal" / "zvezda_aft.npz"
+    kept = first.read_bytes()
+    seen.clear()
+    flown = run_matrix(matrix, tmp_path, conditions={"nominal": simple}, report=lambda *now: seen.append(now[2]))
+    assert not any("PD to zvezda_aft" in what for what in seen) and any("PD to unity_nadir" in what for what in seen)
+    assert first.read_bytes() == kept
+    pd, drift = flown["PD", None, "nominal"][0], flown["drift", None, "nominal"][0]
+    assert len(pd) == 4 and pd.digest.tolist() == drift.digest.tolist() and (pd.instants == 5).all()
+
+    with pytest.raises(ValueError, match=r"another flights.*--fresh"):
+        run_matrix(matrix.model_copy(update={"flights": 3}), tmp_path, conditions={"nominal": simple})
+    heavy = Condition("heavy", fidelity="iss", hidden={**simple.hidden, "chaser": {"mass": 15_000.0}})
+    with pytest.raises(ValueError, match="another environment"):
+        run_matrix(matrix, tmp_path, conditions={"nominal": heavy})
+
+    files = write_matrix_report(matrix, flown, tmp_path, conditions={"nominal": simple}, commands="owm ...")
+    text = files[0].read_text(encoding="utf-8")
+    assert "| PD | 4 | 0 % [0, 49] |" in text and "| drift | PD | 4 |" in text and "(figures/Simple_ports.png)" in text
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["pairs"][0]["both"] == 0 and len(results["rows"]) == 2
+    assert len((tmp_path / "results.csv").read_text().splitlines()) == 1 + 2 * 5
+    assert str(tmp_path) not in text and str(Path.home()) not in text
+
+
+def test_the_rest_is_estimated_from_rows_alike(table):
+    exact, plain, pd, heavy = rows_of(table)
+    pace = Pace()
+    assert pace.left([(pd, 1)]) is None
+    pace.add(exact, 100.0, 20)
+    assert pace.left([(exact, 2), (plain, 2), (pd, 1)]) == pytest.approx(25.0)
+    pace.add(pd, 20.0, 20)  # compiling
+    pace.add(pd, 2.0, 20)
+    assert pace.left([(heavy, 10)]) == pytest.approx(1.0)
