@@ -77,12 +77,12 @@ def test_a_run_learns_and_publishes_its_best(uninterrupted):
     log = lines(out)
     assert [line["step"] for line in log] == list(range(0, 301, 25))
     flow = [line["flow_loss"] for line in log[1:]]
-    assert 0.6 < flow[0] < 1.5, "the target has unit variance and an untrained head predicts zero"
-    assert np.mean(flow[-3:]) < 0.8 * flow[0]
+    # The target is the innovation: most of it is the noise of the measurement, which no training takes away.
+    assert 0.6 < flow[0] < 1.5 and max(flow) < 1.1 * flow[0]
     scores = {line["step"]: line["score"] for line in log if "score" in line}
     assert result.score == pytest.approx(min(scores.values()), rel=1e-5)
     assert scores[result.step] == pytest.approx(result.score, rel=1e-5)
-    assert result.score < scores[0], "better than the least-squares skip it starts from"
+    assert result.score < 0.9 * scores[0], "better than the least-squares skip it starts from"
     published = load_world_model(result.model_dir, expect=CONFIG.model)
     for a, b in zip(jax.tree.leaves(published.params), jax.tree.leaves(result.model.params), strict=True):
         np.testing.assert_array_equal(a, b)
