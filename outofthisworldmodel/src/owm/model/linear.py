@@ -1,11 +1,12 @@
 """The part of the dynamics that least squares finds: a baseline by itself, and the skip under the network."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from owm.data import Episodes
 from owm.model.kinematics import (
@@ -78,10 +79,15 @@ def linear_advance(linear: LinearMap, motion: Motion, action: Float[Array, "6"],
     return advance(motion, increment, dt, drift)
 
 
+def transition_rows(episodes: Episodes, limit: int = FIT_ROWS) -> Int[np.ndarray, "N"]:
+    """Return the rows before up to `limit` evenly spread transitions."""
+    rows = episodes.starts(2)
+    return rows[:: -(-len(rows) // limit)]
+
+
 def transitions(episodes: Episodes, limit: int = FIT_ROWS) -> tuple[Array, Array, Array]:
     """Return up to `limit` evenly spread transitions: views before, views after, actions between."""
-    rows = episodes.starts(2)
-    rows = rows[:: -(-len(rows) // limit)]
+    rows = transition_rows(episodes, limit)
     views = jnp.asarray(episodes.observation)
     return views[rows], views[rows + 1], jnp.asarray(episodes.action)[rows]
 
@@ -100,37 +106,40 @@ def _body_increments(before: Array, after: Array, dt: Array) -> tuple[Array, Arr
 def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
     """Fit the linear map to measured transitions by least squares.
 
+    Flights are weighted by the inverse of what the fit leaves of them, found by an unweighted fit: those of noisy
+    sensors, whose actions answer the noise and so correlate with it, would bias the map of all others.
+
     Args:
         episodes: training episodes; measurements are used, not the truth.
         motion: fit the terms of position, velocity and rate too; otherwise only action and bias.
     """
     before, after, action = transitions(episodes)
+    flight = np.unique(episodes.episode[transition_rows(episodes)], return_inverse=True)[1]
     change, turn = (np.asarray(x, np.float64) for x in _body_increments(before, after, episodes.dt))
     before, action = np.asarray(before, np.float64), np.asarray(action, np.float64)
     rows = len(action)
     # Columns are scaled to order one so that the normal equations stay well conditioned.
     unit = np.maximum(np.abs(action).max(axis=0), 1e-9)
     inputs = np.concatenate([action / unit, np.ones((rows, 1))], axis=1)
-
     products = np.asarray(jax.vmap(rate_products)(before[:, 10:], turn), np.float64)
     size = np.maximum(np.abs(products).max(axis=0), 1e-12)
-    rate, *_ = np.linalg.lstsq(np.concatenate([inputs, products / size], axis=1) if motion else inputs, change[:, 3:])
-
-    # Velocity: row i of a sample holds the inputs in block i, and the station terms turned into the body frame.
     where = np.maximum(np.abs(before[:, :6]).max(axis=0), 1e-9)
-    columns = 21 + (18 if motion else 0)
-    normal, moment = np.zeros((columns, columns)), np.zeros(columns)
-    for part in np.array_split(np.arange(rows), max(rows // 20_000, 1)):
-        design = np.zeros((len(part), 3, columns))
+
+    def rate_design(part: np.ndarray) -> np.ndarray:
+        return np.concatenate([inputs[part], products[part] / size], axis=1) if motion else inputs[part]
+
+    def velocity_design(part: np.ndarray) -> np.ndarray:
+        """Row i of a sample holds the inputs in block i, and the station terms turned into the body frame."""
+        design = np.zeros((len(part), 3, 39 if motion else 21))
         for i in range(3):
             design[:, i, 7 * i : 7 * i + 7] = inputs[part]
         if motion:
             terms = turn[part].transpose(0, 2, 1)[:, :, :, None] * (before[part, :6] / where)[:, None, None, :]
             design[:, :, 21:] = terms.reshape(len(part), 3, 18)
-        design = design.reshape(-1, columns)
-        normal += design.T @ design
-        moment += design.T @ change[part, :3].reshape(-1)
-    solution, *_ = np.linalg.lstsq(normal, moment, rcond=None)
+        return design.reshape(3 * len(part), -1)
+
+    rate = _weighted_fit(rate_design, change[:, 3:], flight)
+    solution = _weighted_fit(velocity_design, change[:, :3], flight)
     velocity = solution[:21].reshape(3, 7)
     fitted = LinearMap(
         action=np.concatenate([velocity[:, :6], rate[:6].T]) / unit,
@@ -139,3 +148,33 @@ def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
         gyroscopic=rate[7:].T / size if motion else np.zeros((3, 15)),
     )
     return jax.tree.map(lambda x: jnp.asarray(x, episodes.observation.dtype), fitted)
+
+
+def _weighted_fit(
+    design: Callable[[np.ndarray], np.ndarray], change: Float[np.ndarray, "N 3"], flight: Int[np.ndarray, "N"]
+) -> np.ndarray:
+    """Fit twice, the second time with each flight's inverse mean square residual as its weight.
+
+    Args:
+        design: of the samples of an index: one row a sample, to be fitted to the columns of `change`, or three rows a
+            sample, to be fitted to its components.
+        change: what to fit.
+        flight: of each sample.
+    """
+    parts = np.array_split(np.arange(len(change)), max(len(change) // 20_000, 1))
+    weight = np.ones(len(change))
+    for last in (False, True):
+        normal, moment = 0.0, 0.0
+        for part in parts:
+            rows = design(part)
+            each = len(rows) // len(part)
+            weighed = rows * np.repeat(weight[part], each)[:, None]
+            normal = normal + weighed.T @ rows
+            moment = moment + weighed.T @ change[part].reshape(len(rows), -1)
+        solution, *_ = np.linalg.lstsq(normal, moment, rcond=None)
+        if not last:
+            left = [np.sum((change[p] - (design(p) @ solution).reshape(-1, 3)) ** 2, axis=1) for p in parts]
+            mean = np.bincount(flight, np.concatenate(left)) / np.bincount(flight)
+            weight = 1.0 / np.maximum(mean, 1e-6 * mean.max() + 1e-30)[flight]
+            weight = weight / weight.mean()
+    return solution if solution.shape[1] > 1 else solution[:, 0]
