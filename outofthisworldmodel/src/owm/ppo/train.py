@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from rich.console import Console
 from stable_baselines3 import PPO
 from stable_baselines3.common.running_mean_std import RunningMeanStd
@@ -47,6 +48,7 @@ def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> d
     """
     console = Console() if console is None else console
     _claim(config, out)
+    torch.set_num_threads(1)  # a small network gains nothing from more, and they would disturb the simulation
     saves = sorted((path for path in (out / "state").glob("*") if path.name.isdigit()), key=lambda path: int(path.name))
     step = int(saves[-1].name) if saves else 0
     venv = make_env(config, config.envs, config.seed + step, training=True)
