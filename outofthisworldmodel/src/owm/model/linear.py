@@ -23,6 +23,8 @@ from owm.model.kinematics import (
 
 FIT_ROWS = 200_000
 """Most transitions that a fit uses; more would not change a digit that matters."""
+FIT_PASSES = 6
+"""Of the weighted fit."""
 
 
 class LinearMap(NamedTuple):
@@ -106,8 +108,9 @@ def _body_increments(before: Array, after: Array, dt: Array) -> tuple[Array, Arr
 def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
     """Fit the linear map to measured transitions by least squares.
 
-    Flights are weighted by the inverse of what the fit leaves of them, found by an unweighted fit: those of noisy
-    sensors, whose actions answer the noise and so correlate with it, would bias the map of all others.
+    Flights are weighted by the inverse of what the fit leaves of them, over and over: those of noisy sensors, whose
+    actions answer the noise and so correlate with it, and those of vehicles unlike most, would bias the map of all
+    others. Source: iteratively reweighted least squares, Holland and Welsch (1977).
 
     Args:
         episodes: training episodes; measurements are used, not the truth.
@@ -153,7 +156,7 @@ def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
 def _weighted_fit(
     design: Callable[[np.ndarray], np.ndarray], change: Float[np.ndarray, "N 3"], flight: Int[np.ndarray, "N"]
 ) -> np.ndarray:
-    """Fit twice, the second time with each flight's inverse mean square residual as its weight.
+    """Fit `FIT_PASSES` times, each but the first with every flight's inverse mean square residual as its weight.
 
     Args:
         design: of the samples of an index: one row a sample, to be fitted to the columns of `change`, or three rows a
@@ -163,7 +166,7 @@ def _weighted_fit(
     """
     parts = np.array_split(np.arange(len(change)), max(len(change) // 20_000, 1))
     weight = np.ones(len(change))
-    for last in (False, True):
+    for number in range(FIT_PASSES):
         normal, moment = 0.0, 0.0
         for part in parts:
             rows = design(part)
@@ -172,7 +175,7 @@ def _weighted_fit(
             normal = normal + weighed.T @ rows
             moment = moment + weighed.T @ change[part].reshape(len(rows), -1)
         solution, *_ = np.linalg.lstsq(normal, moment, rcond=None)
-        if not last:
+        if number < FIT_PASSES - 1:
             left = [np.sum((change[p] - (design(p) @ solution).reshape(-1, 3)) ** 2, axis=1) for p in parts]
             mean = np.bincount(flight, np.concatenate(left)) / np.bincount(flight)
             weight = 1.0 / np.maximum(mean, 1e-6 * mean.max() + 1e-30)[flight]
