@@ -8,9 +8,12 @@ import synthetic
 
 from owm.baselines.classical import CRUISE_RADIUS, classical_policy, corridor_of, inside, wanted_velocity
 from owm.baselines.least_squares import LeastSquares
-from owm.baselines.online import OnlineLeastSquares
+from owm.baselines.online import OnlineLeastSquares, OnlineSkip
 from owm.model.checkpoint import save_world_model
+from owm.model.config import ModelConfig
 from owm.model.linear import LinearMap
+from owm.model.streams.kinematic import KinematicStream
+from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.mpc import beyond, clohessy_wiltshire, solve, tracking
 from owm.policies import GIVEN, kind_of
 from owm_envs.env import DockingEnv
@@ -27,6 +30,14 @@ def fit() -> LinearMap:
     """The nominal chaser's map, without orbital terms."""
     values = (NOMINAL, np.zeros(6), np.zeros((3, 6)), np.zeros((3, 15)))
     return LinearMap(*(jnp.asarray(x, jnp.float32) for x in values))
+
+
+@pytest.fixture(scope="module")
+def world_model(episodes) -> LearnedWorldModel:
+    """An untrained kinematic model."""
+    config = ModelConfig(width=8, heads=2, head_width=8)
+    network = jax.jit(lambda: Network(config, key=jax.random.key(0)))()
+    return LearnedWorldModel(config, Params(network, KinematicStream.fit(episodes)))
 
 
 def test_online_least_squares_finds_another_chaser_and_keeps_what_it_is_not_shown(fit):
@@ -148,10 +159,27 @@ def test_the_classical_stack_commands_within_limits_and_forgets_between_episodes
     assert np.abs(again[1] - first[1]).max() > 1e-4 and np.abs(first[0] - first[1]).max() > 0.05
 
 
-def test_online_least_squares_is_named_with_its_fit(fit, tmp_path):
+def test_online_models_are_named_by_what_they_start_from(fit, world_model, tmp_path):
     save_world_model(LeastSquares(fit), tmp_path / "fit")
-    assert kind_of(f"least-squares-online:{tmp_path / 'fit'}") == "least-squares-online" in GIVEN
-    with pytest.raises(ValueError, match="give least-squares-online:FOLDER"):
-        kind_of("least-squares-online")
+    save_world_model(world_model, tmp_path / "learned")
+    assert kind_of(f"online:{tmp_path / 'fit'}") == "least-squares-online" in GIVEN
+    assert kind_of(f"online:{tmp_path / 'learned'}") == "world model, online" in GIVEN
+    with pytest.raises(ValueError, match="linear part"):
+        kind_of("online:oracle-mppi")
     with pytest.raises(FileNotFoundError):
-        kind_of(f"least-squares-online:{tmp_path / 'nothing.here'}")
+        kind_of(f"online:{tmp_path / 'nothing.here'}")
+
+
+def test_the_linear_part_under_a_network_follows_as_the_fit_alone_does(fit, world_model):
+    learner = OnlineLeastSquares(LIMIT)
+    params = world_model.params._replace(statistics=world_model.params.statistics._replace(linear=fit))
+    over, alone = OnlineSkip(learner), learner.init(fit)
+    known = over.init(params)
+    view = jnp.asarray([60.0, -90.0, 40.0, 0.1, 0, 0, 0.6, 0.8, 0, 0, 0.01, 0, 0], jnp.float32)
+    action = jnp.asarray([800.0, 0, 0, 0, 0, 500.0], jnp.float32)
+    after = view.at[3].add(0.02)
+    known, alone = over.learn(known, view, action, after), learner.learn(alone, view, action, after)
+    found, expected = over.params(known).statistics.linear, learner.params(alone)
+    np.testing.assert_array_equal(found.action, expected.action)
+    assert np.abs(np.asarray(found.action) - np.asarray(fit.action)).max() > 0
+    assert over.params(known).network is params.network

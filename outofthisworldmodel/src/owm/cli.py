@@ -26,7 +26,7 @@ def fly(
 
     Args:
         policy: dock, dock-geodesic, dock-geodesic-integral, random, orbit, ekf-mpc, oracle-mppi, the folder of a
-            checkpoint, least-squares-online:FOLDER, or user/name on the hub.
+            checkpoint, online:FOLDER, or user/name on the hub.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.

@@ -45,6 +45,15 @@ GIVEN: dict[str, Given] = {
     "least-squares-online": Given(
         _MAP, f"{_KINEMATICS} fitted, then again in flight", _PROFILE, "no", "no", f"{_CORRECTOR}; action map", "corpus"
     ),
+    "world model, online": Given(
+        _MAP,
+        f"{_KINEMATICS} learned, linear part fitted again in flight",
+        _PROFILE,
+        "no",
+        "no",
+        f"{_CORRECTOR}; action map",
+        "corpus",
+    ),
     "ekf-mpc": Given(
         "no: a sphere about the station and a corridor to the port",
         "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
@@ -69,8 +78,9 @@ GIVEN: dict[str, Given] = {
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
 NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
-_ONLINE = "least-squares-online"
-ONLINE_PREFIX = f"{_ONLINE}:"
+ONLINE_PREFIX = "online:"
+"""Before the folder of a model whose linear part is to be fitted again in flight."""
+_ONLINE = {"least-squares": "least-squares-online", "world model": "world model, online"}
 _KINDS = {
     "learned": "world model",
     "latent": "latent world model",
@@ -81,7 +91,7 @@ _KINDS = {
 
 def is_planned(kind: str) -> bool:
     """Whether a kind of policy is a world model in the planner."""
-    return kind in ("oracle-mppi", _ONLINE, *_KINDS.values())
+    return kind in ("oracle-mppi", *_ONLINE.values(), *_KINDS.values())
 
 
 def kind_of(policy: str) -> str:
@@ -93,13 +103,13 @@ def kind_of(policy: str) -> str:
     """
     if policy in NAMES:
         return policy
-    if policy in ("least-squares", _ONLINE):
-        given = "its folder" if policy != _ONLINE else f"{_ONLINE}:FOLDER"
-        raise ValueError(f"{policy} needs a fit: give {given}, such as runs/demo/least-squares")
+    if policy == "least-squares":
+        raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
     if policy.startswith(ONLINE_PREFIX):
-        if kind_of(_folder(policy)) != "least-squares":
-            raise ValueError(f"{_ONLINE} starts from a least-squares fit, which {_folder(policy)!r} is not")
-        return _ONLINE
+        start = kind_of(_folder(policy))
+        if start not in _ONLINE:
+            raise ValueError(f"{ONLINE_PREFIX} needs a model with a linear part ({', '.join(_ONLINE)}), got a {start}")
+        return _ONLINE[start]
     if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
         header = checkpoint_folder(policy) / "config.json"
         try:
@@ -122,7 +132,7 @@ def kind_of(policy: str) -> str:
 
 
 def _folder(policy: str) -> str:
-    """The path in a policy's name: all of it, or what stands after "least-squares-online:"."""
+    """The path in a policy's name: all of it, or what stands after "online:"."""
     return policy.removeprefix(ONLINE_PREFIX)
 
 
@@ -140,7 +150,7 @@ def load_policy(
 
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
-            to fly; `least-squares-online:FOLDER` estimates such a fit again in flight.
+            to fly; `online:FOLDER` fits the linear part of either again in flight.
         config: the environment to fly.
         num_slots: flights side by side.
         seed: decides the policy's own draws.
@@ -167,7 +177,7 @@ def load_policy(
         return VectorPolicy(classical_policy(env), seed=seed)
     from owm_envs.geodesic import load_field
 
-    name = kind if kind in (policy, _ONLINE) else "/".join(Path(policy).parts[-2:])
+    name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
     if field is None and kind != "ppo":
         field = load_field()
     if kind in ("ppo", "ppo-field"):
@@ -179,10 +189,12 @@ def load_policy(
     from owm.planning.policy import PlannerPolicy
 
     model, learner = load_model(policy, config), None
-    if kind == _ONLINE:
-        from owm.baselines.online import OnlineLeastSquares
+    if kind in _ONLINE.values():
+        from owm.baselines.online import OnlineLeastSquares, OnlineSkip
 
         learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
+        if kind == _ONLINE["world model"]:
+            learner = OnlineSkip(learner)
     made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
     made.name = name
     return made
@@ -224,7 +236,7 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         from owm.baselines.constant_velocity import ConstantVelocity
 
         return ConstantVelocity()
-    if kind in (*_KINDS.values(), _ONLINE):
+    if is_planned(kind):
         from owm.console import announce
         from owm.model.checkpoint import load_world_model
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from owm.model.kinematics import increments, to_motion
 from owm.model.linear import LinearMap, linear_increment
+from owm.model.world_model import Params
 
 
 class Estimate(NamedTuple):
@@ -100,3 +101,30 @@ class OnlineLeastSquares:
 
     def _solved(self, known: Estimate) -> Float[Array, "6 7"]:
         return jax.vmap(lambda a, b: jax.scipy.linalg.solve(a, b, assume_a="pos"))(known.information, known.moment)
+
+
+@dataclass(frozen=True)
+class OnlineSkip:
+    """The same for the linear map under a kinematic world model; the network's part stays as trained."""
+
+    linear: OnlineLeastSquares
+
+    def init(self, params: Params) -> tuple[Params, Estimate]:
+        """Start from the fit that the network was trained over."""
+        return params, self.linear.init(params.statistics.linear)
+
+    def learn(
+        self,
+        known: tuple[Params, Estimate],
+        before: Float[Array, "13"],
+        action: Float[Array, "6"],
+        after: Float[Array, "13"],
+    ) -> tuple[Params, Estimate]:
+        """Take in one transition between measurements."""
+        params, estimate = known
+        return params, self.linear.learn(estimate, before, action, after)
+
+    def params(self, known: tuple[Params, Estimate]) -> Params:
+        """The model over the map as estimated."""
+        params, estimate = known
+        return params._replace(statistics=params.statistics._replace(linear=self.linear.params(estimate)))
