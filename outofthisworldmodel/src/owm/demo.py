@@ -57,6 +57,7 @@ SCALES: dict[str, Scale] = {
 }
 POLICIES: dict[str, str] = {
     "world model": "train/model",
+    "pretrained": "",
     "least-squares": "least-squares",
     "oracle-mppi": "",
     "dock": "",

@@ -116,7 +116,7 @@ def _summary(results: Results) -> list[Block]:
 
 def _docking(results: Results, figures: Path) -> list[Block]:
     names = [each.policy for each in results.flights]
-    rows = [GIVEN[name] for name in names]
+    rows = [GIVEN["world model" if name == "pretrained" else name] for name in names]
     if results.size.planner_style:
         rows = [row._replace(data="corpus with planner-like flights") if row.data == "corpus" else row for row in rows]
     given = Table(["policy", *GIVEN_COLUMNS], [[name, *row] for name, row in zip(names, rows)], words=True)
