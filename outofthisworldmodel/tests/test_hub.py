@@ -80,7 +80,8 @@ def serve(tmp_path, monkeypatch):
 @pytest.fixture
 def published(tmp_path):
     action = np.random.default_rng(0).normal(size=(6, 6)).astype(np.float32)
-    linear = LinearMap(jnp.asarray(action), jnp.zeros(6, jnp.float32), jnp.zeros((3, 6), jnp.float32))
+    zeros = (jnp.zeros(shape, jnp.float32) for shape in ((6,), (3, 6), (3, 15)))
+    linear = LinearMap(jnp.asarray(action), *zeros)
     folder = save_world_model(LeastSquares(linear), tmp_path / "published")
     (folder / "pickled.pkl").write_bytes(b"never fetched")
     return folder

@@ -18,7 +18,9 @@ def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
     half = np.sqrt(0.5)
     view = jnp.asarray([40.0, -80.0, 25.0, 0.5, 0.3, -0.2, half, 0, -half, 0, 0.004, -0.006, 0.005], jnp.float32)
     draws = jax.random.uniform(jax.random.key(0), (9, 6), jnp.float32, -0.3, 0.3)
-    actions = jnp.repeat(draws * jnp.asarray([1600.0] * 3 + [500.0] * 3), 8, axis=0)[:71]  # held for 2 s, 17.75 s in all
+    actions = jnp.repeat(draws * jnp.asarray([1600.0] * 3 + [500.0] * 3), 8, axis=0)[
+        :71
+    ]  # held for 2 s, 17.75 s in all
 
     @jax.jit
     def truth(view, actions):

@@ -27,7 +27,7 @@ class TrainConfig(BaseModel):
 
     model: ModelConfig = ModelConfig()
     """The network to train."""
-    steps: PositiveInt = 6000
+    steps: PositiveInt = 3000
     """Optimisation steps."""
     epochs: PositiveFloat | None = None
     """Where given, in place of `steps`: passes over as many windows as the training episodes hold."""
@@ -51,7 +51,7 @@ class TrainConfig(BaseModel):
     """Fraction of the run over which the probability of continuing from the measurement falls from one to zero."""
     teacher_epochs: NonNegativeFloat | None = None
     """Where given, in place of `teacher`: the same in epochs."""
-    rollouts: tuple[tuple[Fraction, PositiveInt], ...] = ((0.5, 16), (1.0, 32))
+    rollouts: tuple[tuple[Fraction, PositiveInt], ...] = ((0.6, 16), (1.0, 32))
     """Rollout lengths `F`, each up to a fraction of the run; a jump by more than a factor of two destabilises."""
     flow_weight: NonNegativeFloat = 1.0
     """Weight of the flow loss."""
