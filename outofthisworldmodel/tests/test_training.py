@@ -282,4 +282,4 @@ def test_configurations_are_checked():
     for config in PRESETS.values():
         assert TrainConfig.model_validate_json(config.model_dump_json()) == config
     nano = preset("nano")
-    assert [nano.rollout_at(step) for step in (0, 2999, 3000, 5999)] == [16, 16, 32, 32]
+    assert [nano.rollout_at(step) for step in (0, 1799, 1800, 2999)] == [16, 16, 32, 32]

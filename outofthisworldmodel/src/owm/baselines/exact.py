@@ -83,7 +83,7 @@ class ExactDynamics:
     ) -> PhysicalState:
         """Advance by `dt` under a held body wrench; deterministic with or without a key."""
         dtype = state.elapsed.dtype
-        return self.dynamics.step(params, state, action.astype(dtype), jnp.asarray(self.dt, dtype))
+        return self.dynamics.step(_arrays(params), state, action.astype(dtype), jnp.asarray(self.dt, dtype))
 
     def observe(
         self,
@@ -98,7 +98,7 @@ class ExactDynamics:
 
     def decode(self, params: ExactParams, state: PhysicalState) -> dict[str, Array]:
         """Return the view in the station frame."""
-        return {"state": self.dynamics.relative_state(params, state)}
+        return {"state": self.dynamics.relative_state(_arrays(params), state)}
 
     def start(self, params: ExactParams, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """Start from a view at an epoch [MJD day, s of day].
@@ -112,7 +112,11 @@ class ExactDynamics:
                 f"{self.name} needs JAX's 64-bit mode: work inside `with jax.enable_x64(True):` "
                 "(PlannerPolicy does so by itself)"
             )
-        params = jax.tree.map(jnp.asarray, params)
         view = jnp.asarray(view, dtype)
         view = jnp.concatenate([view[:6], quat_normalize(view[6:10]), view[10:]])
-        return self.dynamics.init(params, jnp.asarray(epoch, dtype), view)
+        return self.dynamics.init(_arrays(params), jnp.asarray(epoch, dtype), view)
+
+
+def _arrays(params: ExactParams) -> ExactParams:
+    """The NumPy numbers of a model as arrays of the mode that is on, as the equations of motion take them."""
+    return jax.tree.map(jnp.asarray, params)
