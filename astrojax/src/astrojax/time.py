@@ -58,7 +58,8 @@ def normalize_epoch(day: Scalar, seconds: Scalar) -> tuple[FloatScalar, FloatSca
     seconds = seconds - carry * c.SECONDS_PER_DAY
     # A tiny negative input rounds up to a full day: that is the next day's start.
     full = seconds >= c.SECONDS_PER_DAY
-    return day + carry + jnp.where(full, 1.0, 0.0), jnp.where(full, 0.0, seconds)
+    # One so tiny that its share of a day underflows stays negative: that is this day's start.
+    return day + carry + jnp.where(full, 1.0, 0.0), jnp.where(full | (seconds < 0), 0.0, seconds)
 
 
 def utc_to_tai(day: Scalar, seconds: Scalar) -> tuple[FloatScalar, FloatScalar]:
