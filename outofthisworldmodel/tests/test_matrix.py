@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from owm.evaluation.coasting import COAST, coasts_clear, transitions
-from owm.evaluation.conditions import OFF_NOMINAL, WRONG_MAPS, Condition, condition
+from owm.evaluation.conditions import CONDITIONS, Condition, condition
 from owm.evaluation.matrix import Matrix, Study, read_matrix, row_name, rows_of
 from owm.evaluation.matrix_report import given_of, write_matrix_report
 from owm.evaluation.matrix_run import Pace, run_matrix
@@ -73,14 +73,17 @@ def test_mistakes_in_a_table_are_named(tmp_path, old, new, message):
 
 def test_conditions_change_what_is_flown_and_not_what_is_told():
     nominal = condition("nominal")
-    for name in OFF_NOMINAL:
-        assert condition(name).told() == nominal.told() and condition(name).flown() != nominal.flown()
+    off_nominal = [each for each in CONDITIONS.values() if each.hidden]
+    wrong_maps = [each for each in CONDITIONS.values() if each.map]
+    assert len(off_nominal) == 9 and len(wrong_maps) == 3
+    for each in off_nominal:
+        assert each.told() == nominal.told() and each.flown() != nominal.flown()
     assert condition("heavy").flown().chaser.mass == 15_000 and condition("light").flown().chaser.mass == 9_000
     assert condition("delay").flown().structure.longest_delay == 5 and condition("on-off").flown().structure.on_off
     assert condition("biased").flown().structure.biased and condition("biased").flown().noise.position == 0.05
     assert condition("noncooperative").told() == condition("noncooperative").flown() != nominal.told()
-    for name in WRONG_MAPS:
-        assert condition(name).flown() == nominal.flown() and condition(name).map_boxes() is not None
+    for each in wrong_maps:
+        assert each.flown() == nominal.flown() and each.map_boxes() is not None
     with pytest.raises(ValueError, match="heavy"):
         condition("heavi")
 

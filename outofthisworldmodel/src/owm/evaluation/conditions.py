@@ -122,18 +122,6 @@ CONDITIONS: dict[str, Condition] = {
     "map turned": Condition("the planner's hull is turned by 1 deg", map=turned),
     "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
 }
-OFF_NOMINAL = (
-    "heavy",
-    "light",
-    "more inertia",
-    "less inertia",
-    "weak axis",
-    "misaligned",
-    "on-off",
-    "delay",
-    "biased",
-)
-WRONG_MAPS = ("map shifted", "map turned", "map without array")
 
 
 def condition(name: str) -> Condition:
