@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -113,3 +114,19 @@ def test_one_evaluation_has_the_spread_of_a_correlated_gaussian():
     correlation = np.corrcoef(ratio.T) - np.eye(6)
     assert np.abs(correlation).max() < 0.1
     assert np.sqrt(np.mean(error**2)) < 0.08
+
+
+@pytest.mark.parametrize("heads", [0, 2])
+def test_tokens_are_denoised_together_only_with_attention(heads):
+    head = FlowHead(ModelConfig(width=32, head_width=32, head_heads=heads), 3, jnp.float32, key=jax.random.key(0))
+    head = eqx.tree_at(lambda tree: tree.out.weight, head, jnp.ones_like(head.out.weight).at[::2].set(-1.0))
+    half, context = jnp.asarray(0.5, jnp.float32), jnp.ones((4, 32), jnp.float32)
+    moved = jax.jacobian(lambda noised: head(noised, half, half, context))(jnp.ones((4, 3), jnp.float32))
+    size = jnp.abs(moved).max(axis=(1, 3))  # by token whose residual, and whose noise
+    assert (size[~np.eye(4, dtype=bool)] > 0).all() == bool(heads)
+    assert (jnp.diagonal(size) > 0).all()
+
+
+def test_attention_of_the_head_must_divide_its_width():
+    with pytest.raises(ValueError, match="head_width must be a multiple of head_heads=3, got 32"):
+        ModelConfig(head_heads=3)

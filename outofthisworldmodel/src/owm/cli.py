@@ -175,6 +175,7 @@ def _train(preset: str):
         data: tuple[Path, ...],
         out: Path,
         preset: Preset = start_from,
+        wandb: str | None = None,
         config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
     ) -> None:
         """Train a world model; a killed run is resumed by the same command.
@@ -183,6 +184,7 @@ def _train(preset: str):
             data: Dataset, as `owm-envs generate` writes it, or several to train on together.
             out: Folder for the checkpoint.
             preset: Named configuration that the other flags change.
+            wandb: Project of Weights & Biases to send the metrics to as well.
             config: The run.
         """
         del preset
@@ -190,7 +192,7 @@ def _train(preset: str):
         _cpu_devices(config.devices)
         from owm.commands import train as run
 
-        run(data, out, config)
+        run(data, out, config, wandb)
 
     return train
 

@@ -1,6 +1,7 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -27,19 +28,22 @@ from owm_envs.config import DockingConfig
 from owm_envs.station import PORT_NAMES
 
 
-def train(data: Sequence[Path], out: Path, config: TrainConfig) -> None:
+def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | None = None) -> None:
     """Train a world model on one or several datasets; `training_episodes` says what chooses the weights.
 
     Raises:
-        FileNotFoundError, ValueError: the dataset is missing or damaged, or `out` holds another run.
+        FileNotFoundError, ValueError: the dataset is missing or damaged, `out` holds another run, or `wandb` is named
+            but not installed.
     """
+    if wandb is not None and find_spec("wandb") is None:
+        raise ValueError("--wandb needs Weights & Biases: pip install 'outofthisworldmodel[wandb]'")
     from owm.training.loop import train as run
 
     announce(f"reading {', '.join(str(path) for path in data)} ...")
     episodes, val = training_episodes(data)
     announce(f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on")
     about = {"corpus": [corpus_facts(path) for path in data]}
-    result = run(config, episodes, val, out, console=console, about=about)
+    result = run(config, episodes, val, out, console=console, about=about, wandb=wandb)
     print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")
 
 

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, PositiveFloat, PositiveInt, model_validator
+from pydantic import BaseModel, ConfigDict, NonNegativeInt, PositiveFloat, PositiveInt, model_validator
 
 
 class ModelConfig(BaseModel):
@@ -34,6 +34,8 @@ class ModelConfig(BaseModel):
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
     """Residual perceptrons in the flow head."""
+    head_heads: NonNegativeInt = 0
+    """Attention heads with which each of them lets the tokens of a step see each other; with 0 a token is by itself."""
     head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
     """What the head learns: the plain rectified flow by its clean end or by its velocity, or a mean flow, whose single
     evaluations are samples (`FlowHead`)."""
@@ -48,6 +50,8 @@ class ModelConfig(BaseModel):
             raise ValueError(f"width must be at least 10 for the latent stream, got {self.width}")
         if self.head_width > self.width:
             raise ValueError(f"head_width must not exceed width={self.width}, got {self.head_width}")
+        if self.head_heads and self.head_width % self.head_heads:
+            raise ValueError(f"head_width must be a multiple of head_heads={self.head_heads}, got {self.head_width}")
         return self
 
 
@@ -64,10 +68,11 @@ PRESETS: dict[str, ModelConfig] = {
         mlp_ratio=4,
         head_width=128,
         head_blocks=2,
+        head_heads=4,
         head="velocity",
     ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""
+"""Named sizes; `nano` trains on a laptop, `paper` has the publication's stream, widths and denoiser, without images."""
 
 
 def preset(name: str) -> ModelConfig:

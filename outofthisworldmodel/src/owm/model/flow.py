@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from owm.model.config import ModelConfig
-from owm.model.transformer import Linear, Norm, Perceptron
+from owm.model.transformer import Attention, Linear, Norm, Perceptron
 
 SAME_LEVEL = 0.6
 """Share of mean-flow draws with both levels equal, which train the instantaneous flow that the others rest on."""
@@ -33,6 +33,7 @@ class FlowHead(eqx.Module):
     """
 
     join: Linear
+    mixing: tuple[tuple[Norm, Attention] | None, ...]
     norms: tuple[Norm, ...]
     layers: tuple[Perceptron, ...]
     out: Linear
@@ -42,8 +43,14 @@ class FlowHead(eqx.Module):
 
     def __init__(self, config: ModelConfig, residual: int, dtype: jnp.dtype, *, key: Key[Array, ""]):
         k_join, k_out, *k_layers = jax.random.split(key, 2 + config.head_blocks)
-        width = config.head_width
+        width, heads = config.head_width, config.head_heads
         self.join = Linear(config.width + residual + 4, width, dtype, key=k_join)
+
+        def mixing(key: Key[Array, ""]) -> tuple[Norm, Attention] | None:
+            return (Norm(width, dtype), Attention(width, heads, dtype, key=key)) if heads else None
+
+        # Where a token's residual depends on those of the others: all of a step are denoised together.
+        self.mixing = tuple(mixing(jax.random.fold_in(k, 1)) for k in k_layers)
         self.norms = tuple(Norm(width, dtype) for _ in k_layers)
         self.layers = tuple(Perceptron(width, 2 * width, width, dtype, key=k) for k in k_layers)
         # Zero at first: an untrained model predicts what its analytic and linear parts predict.
@@ -59,7 +66,10 @@ class FlowHead(eqx.Module):
         levels = jnp.stack([tau, tau * tau, until, until * until]).astype(noised.dtype)
         levels = jnp.broadcast_to(levels, (*noised.shape[:-1], 4))
         x = self.join(jnp.concatenate([context, noised, levels], axis=-1))
-        for norm, layer in zip(self.norms, self.layers, strict=True):
+        for mixing, norm, layer in zip(self.mixing, self.norms, self.layers, strict=True):
+            if mixing is not None:
+                before, attention = mixing
+                x = x + attention.among(before(x))
             x = x + layer(norm(x))
         offset, gain = jnp.split(self.out(jax.nn.silu(x)), 2, axis=-1)
         out = offset + gain * noised

@@ -108,6 +108,15 @@ class Attention(eqx.Module):
         """Join the heads."""
         return self.out(x.reshape(*x.shape[:-2], -1))  # (*n, h, e) -> (*n, d)
 
+    def among(self, x: Float[Array, "*t n d"], kept: int | None = None) -> Float[Array, "*t kept d"]:
+        """Let the first `kept` tokens of a step (all if None) see all of them, in both directions."""
+        q, k, v = self.project(x)
+        q = q[..., :kept, :, :]
+        # Written as broadcast products: the token axis is so short that batched matrix products would only cost.
+        score = jnp.sum(q[..., :, None, :, :] * k[..., None, :, :, :], axis=-1) * q.shape[-1] ** -0.5
+        weight = _softmax(score, True, -2)[..., None]  # (*t, kept, n, h, 1)
+        return self.merge(jnp.sum(weight * v[..., None, :, :, :], axis=-3))
+
 
 def _wide(x: Array) -> Array:
     """Return the array in float32 at least."""
@@ -155,13 +164,8 @@ class Block(eqx.Module):
         self.mlp = Perceptron(config.width, config.mlp_ratio * config.width, config.width, dtype, key=k_mlp)
 
     def mix_tokens(self, x: Float[Array, "*t n d"], kept: int) -> Float[Array, "*t kept d"]:
-        """Let the first `kept` tokens of each step see all of them, in both directions; the others end here."""
-        q, k, v = self.space.project(self.norm_space(x))
-        q = q[..., :kept, :, :]
-        # Written as broadcast products: the token axis is so short that batched matrix products would only cost.
-        score = jnp.sum(q[..., :, None, :, :] * k[..., None, :, :, :], axis=-1) * q.shape[-1] ** -0.5
-        weight = _softmax(score, True, -2)[..., None]  # (*t, kept, n, h, 1)
-        return x[..., :kept, :] + self.space.merge(jnp.sum(weight * v[..., None, :, :, :], axis=-3))
+        """Let the first `kept` tokens of each step see all of them; the others end here."""
+        return x[..., :kept, :] + self.space.among(self.norm_space(x), kept)
 
     def sequence(
         self, x: Float[Array, "T n d"], visible: Bool[Array, "T T"], kept: int

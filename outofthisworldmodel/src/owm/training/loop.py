@@ -55,6 +55,7 @@ def train(
     console: Console | None = None,
     name: str = "learned",
     about: Mapping[str, Any] | None = None,
+    wandb: str | None = None,
 ) -> TrainResult:
     """Train a world model and publish the weights with the best validation score as `out_dir/model`.
 
@@ -70,6 +71,7 @@ def train(
         console: for progress; a quiet one silences it.
         name: what reports will call the model.
         about: JSON-able facts to keep beside the weights, such as `corpus`, what they were trained on.
+        wandb: project of Weights & Biases to send the metrics to as well.
 
     Raises:
         ValueError: if the data doesn't fit the configuration, `out_dir` holds another run or a damaged one, or batch,
@@ -132,7 +134,7 @@ def train(
         "settled": config.model_dump(mode="json", exclude={"model"}),
         "run": fingerprint,
     }
-    state = _run(config, statistics, rows, starts, episodes_val, out, mesh, dtype, console, name, said)
+    state = _run(config, statistics, rows, starts, episodes_val, out, mesh, dtype, console, name, said, wandb)
     model = LearnedWorldModel(config.model, Params(state.best_network, statistics), name)
     said |= {"score": float(state.best_score), "step": int(state.best_step)}
     save_world_model(model, out / "model", about=said)
@@ -151,6 +153,7 @@ def _run(
     console: Console,
     name: str,
     about: dict[str, Any],
+    wandb: str | None,
 ) -> TrainState:
     """Go from the latest save, or the beginning, to the last step; `config` is settled."""
     sets = validation_sets(config, episodes_val)
@@ -159,7 +162,7 @@ def _run(
         step = int(state.step)
         # The static part alone goes into compiled calls: no weights live in it.
         model = LearnedWorldModel(config.model, Params(state.network, statistics), name)
-        with Metrics(out, step or -1) as metrics, View(console, config.steps, step) as view:
+        with Metrics(out, step or -1, wandb, about) as metrics, View(console, config.steps, step) as view:
             if step == 0:
                 # Untrained, the model is its least-squares skip: what is published never scores worse than that.
                 line = {"step": 0} | validate(model, model.params, sets)

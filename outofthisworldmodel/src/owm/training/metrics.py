@@ -1,6 +1,7 @@
-"""What a run tells while it goes: lines of JSON, TensorBoard's event files, and a view in the terminal."""
+"""What a run tells while it goes: JSON lines, TensorBoard events, Weights & Biases, and a view in the terminal."""
 
 import json
+import secrets
 import time
 from pathlib import Path
 from typing import Any
@@ -10,30 +11,50 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from owm.files import write_atomically
+
 _SHOWN = 6
 """Validations that the view keeps in sight."""
 
 
 class Metrics:
-    """Writes one JSON object a line, and the same numbers as TensorBoard scalars.
+    """Writes one JSON object a line, and the same numbers as TensorBoard scalars and to Weights & Biases if asked.
 
     Args:
-        out: folder of the run: `metrics.jsonl` and `tensorboard/` go there.
+        out: folder of the run: `metrics.jsonl`, `tensorboard/` and `wandb/` go there.
         step: what was written after this step by a run that was killed is dropped; -1 drops everything.
+        project: of Weights & Biases; None leaves it out. A resumed run goes on there under its old id.
+        config: what to show there as the run's configuration.
+
+    Raises:
+        ImportError: a project is given and `wandb` is not installed.
     """
 
-    def __init__(self, out: Path, step: int):
+    def __init__(self, out: Path, step: int, project: str | None = None, config: dict[str, Any] | None = None):
         from tensorboardX import SummaryWriter  # here, as only training needs it
 
         self.file = out / "metrics.jsonl"
         _truncate(self.file, step)
         self._events = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
+        self._online = None
+        if project is not None:
+            import wandb
+
+            known = out / "wandb" / "id"
+            name = known.read_text(encoding="ascii") if known.is_file() else secrets.token_hex(4)
+            write_atomically(known, lambda stream: stream.write(name), text=True)
+            self._online = wandb.init(
+                project=project, dir=out, id=name, name=out.name, resume="allow", config=config,
+                settings=wandb.Settings(console="off", silent=True),
+            )  # fmt: skip
 
     def __enter__(self) -> "Metrics":
         return self
 
     def __exit__(self, *error: object) -> None:
         self._events.close()
+        if self._online is not None:
+            self._online.finish(exit_code=int(error[0] is not None))
 
     def write(self, line: dict[str, Any]) -> None:
         """Add the numbers of one step."""
@@ -42,6 +63,8 @@ class Metrics:
         for name, value in line.items():
             if name != "step":
                 self._events.add_scalar(name, value, line["step"])
+        if self._online is not None:
+            self._online.log(line, step=line["step"])
 
 
 def _truncate(file: Path, step: int) -> None:

@@ -22,7 +22,7 @@ from owm.model.checkpoint import CheckpointError, save_world_model
 from owm.model.world_model import LearnedWorldModel
 from owm.training.step import TrainState
 
-PARTS = ("state", "checkpoints", "model", "tensorboard", "run.json", "metrics.jsonl")
+PARTS = ("state", "checkpoints", "model", "tensorboard", "wandb", "run.json", "metrics.jsonl")
 
 
 def clear(out: Path) -> None:
