@@ -1,4 +1,4 @@
-"""How long one replan of one episode takes, by model: `python benchmarks/replan.py [--repeats 1000]`.
+"""How long one replan of one episode takes, by model: `python benchmarks/replan.py [--repeats 1000] [--only NAME]`.
 
 Prints a table and the same figures as JSON. Networks carry untrained weights, which take as long as trained ones. The
 first row, constant velocity, is the planner's own share: noise, look-ups, objective. Replans are measured alone and
@@ -79,7 +79,8 @@ def prepare(model) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=1000)
-    repeats = parser.parse_args().repeats
+    parser.add_argument("--only", default="", help="measure only models whose name contains this")
+    arguments = parser.parse_args()
     field = load_field(["harmony_forward"])
     models = [
         ConstantVelocity(),
@@ -89,11 +90,13 @@ def main() -> None:
         untrained("nano", stream="latent"),
         untrained("small"),
     ]
-    rows = [measure(model, field, repeats) for model in models]
-    columns = list(rows[0])[1:]
-    print(f"{'model':36s} " + " ".join(f"{name:>16s}" for name in columns))
-    for row in rows:
-        print(f"{row['model']:36s} " + " ".join(f"{row[name]:16.1f}" for name in columns))
+    rows = []
+    for model in (model for model in models if arguments.only in model.name):
+        rows.append(measure(model, field, arguments.repeats))
+        row, columns = rows[-1], list(rows[-1])[1:]
+        if len(rows) == 1:
+            print(f"{'model':36s} " + " ".join(f"{name:>16s}" for name in columns))
+        print(f"{row['model']:36s} " + " ".join(f"{row[name]:16.1f}" for name in columns), flush=True)
     prepared = prepare(untrained("nano"))
     print(f"another hull and port, nano: {prepared:.1f} s from nothing to the first plan")
     print(json.dumps({"replan": rows, "prepare_s": prepared, "cores": core_count()}))
