@@ -10,6 +10,8 @@ from owm.evaluation.matrix import Matrix, Study, read_matrix, row_name, rows_of
 from owm.evaluation.matrix_report import given_of, write_matrix_report
 from owm.evaluation.matrix_run import Pace, run_matrix
 from owm.evaluation.plots import hull_distance
+from owm.evaluation.statistics import Pairs
+from owm.evaluation.tables import pairs_table
 from owm_envs.geodesic import load_field
 from owm_envs.station import hull_boxes
 
@@ -158,14 +160,22 @@ def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
     # A study that wants fewer flights than were flown shows the first of each port.
     fewer = matrix.model_copy(update={"studies": (study.model_copy(update={"flights": 1, "figures": False}),)})
     text = write_matrix_report(fewer, flown, tmp_path, conditions={"nominal": simple})[0].read_text(encoding="utf-8")
-    assert "| PD | 2 | 0 %" in text and "| drift | PD | 2 |" in text
+    assert "| PD | 2 | 0 %" in text and "Left out: 1 comparisons" in text
     files = write_matrix_report(matrix, flown, tmp_path, conditions={"nominal": simple}, commands="owm ...")
     text = files[0].read_text(encoding="utf-8")
-    assert "| PD | 4 | 0 % [0, 49] |" in text and "| drift | PD | 4 |" in text and "(figures/Simple_ports.png)" in text
+    assert "| PD | 4 | 0 % [0, 49] |" in text and "(figures/Simple_ports.png)" in text
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["pairs"][0]["both"] == 0 and len(results["rows"]) == 2
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 1 + 2 * 5
     assert str(tmp_path) not in text and str(Path.home()) not in text
+
+
+def test_only_pairs_that_differ_get_a_line_and_all_count_for_their_p():
+    alike, apart = Pairs("a", "b", 7, 0, 0, 3), Pairs("c", "b", 2, 8, 0, 0)
+    table = pairs_table([("1 m", [alike, apart]), ("strict", [alike, alike])])
+    # Eight heads in a row are as likely as 2 / 256; four tests.
+    assert table.rows == [["c", "b", "10", "+80.0", "8 : 0", "0.031", "+0.0", "0 : 0", "1"]]
+    assert "over all 4 tests" in table.caption and "Left out: 1 comparisons" in table.caption
 
 
 def test_the_rest_is_estimated_from_rows_alike(table):

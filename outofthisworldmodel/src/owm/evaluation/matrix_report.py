@@ -28,6 +28,7 @@ from owm.evaluation.tables import (
     definitions_table,
     docking_table,
     failures,
+    pace_table,
     pairs_table,
     port_table,
 )
@@ -137,10 +138,11 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
     if changed:
         yield Bullets([f"**{name}**: {conditions[name].what}." for name in changed])
     if len(study.conditions) > 1:
-        for tolerance, full in ((0.1, True), (1.0, False)):
-            cells = {(row_name(label, planner), condition): flown[label, planner, condition]
-                     for label, planner, condition in keys}  # fmt: skip
-            yield condition_table(cells, tolerance, full=full)
+        cells = {(row_name(label, planner), condition): flown[label, planner, condition]
+                 for label, planner, condition in keys}  # fmt: skip
+        yield condition_table(cells, 0.1, full=True)
+        yield condition_table(cells, 1.0, full=False)
+        yield pace_table(cells)
     for condition in study.conditions:
         rows = [flown[key] for key in keys if key[2] == condition]
         if not rows:

@@ -194,16 +194,45 @@ def condition_table(
     return Table(["policy", *conditions], rows, caption)
 
 
+def pace_table(cells: Mapping[tuple[str, str], Sequence[Flights]]) -> Table:
+    """How quick and how thrifty each policy (rows) is under each condition (columns).
+
+    Args:
+        cells: flights of each trained seed by policy and condition.
+    """
+    policies, conditions = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
+    rows = []
+    for policy in policies:
+        known = [cells.get((policy, condition), ()) for condition in conditions]
+        scores = [score(join(seeds)) if seeds else None for seeds in known]
+        rows.append(
+            [
+                policy,
+                *(
+                    f"{_number(each['median_time'], '{:.0f} s')}, {_number(each['median_delta_v'], '{:.1f} m/s')}"
+                    if each
+                    else "–"
+                    for each in scores
+                ),
+            ]
+        )
+    caption = "Median time and Δv of the flights within 1 m with no collision."
+    return Table(["policy", *conditions], rows, caption)
+
+
 def pairs_table(families: Sequence[tuple[str, Sequence[Pairs]]]) -> Table:
-    """Paired comparisons, one line a pair of policies: discordant starts and Holm's p-value over all in the table.
+    """Paired comparisons, a line for each pair of policies that differ at all: discordant starts and Holm's p-value.
 
     Args:
         families: what counts as success, and the pairs, the same ones in each.
     """
     adjusted = iter(holm([each.p for _, pairs in families for each in pairs]))
     p = [[next(adjusted) for _ in pairs] for _, pairs in families]
-    rows = []
+    rows, alike = [], 0
     for i, each in enumerate(families[0][1]):
+        if not any(pairs[i].first_only or pairs[i].second_only for _, pairs in families):
+            alike += 1
+            continue
         cells = []
         for k, (_, pairs) in enumerate(families):
             pair = pairs[i]
@@ -214,9 +243,10 @@ def pairs_table(families: Sequence[tuple[str, Sequence[Pairs]]]) -> Table:
         columns += [f"{name}: difference, points", "first only : second only", "p"]
     caption = (
         "On the starts that both flew. p: exact two-sided McNemar test, adjusted by Holm over all "
-        f"{sum(len(pairs) for _, pairs in families)} tests of this table. Rows with several trained seeds enter with "
-        "their first."
+        f"{sum(len(pairs) for _, pairs in families)} tests. Rows with several trained seeds enter with their first."
     )
+    if alike:
+        caption += f" Left out: {alike} comparisons in which every start ended alike."
     return Table(columns, rows, caption)
 
 
