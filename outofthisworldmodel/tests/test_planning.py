@@ -27,6 +27,7 @@ BIAS = np.float32([0.012, -0.008, 0.01, 5e-4, 0, -5e-4])
 BOX_CORNER = GOAL[:3] + np.float32([24.0, -12.0, -12.0])
 CONFIG = PlannerConfig()
 TUNING = CONFIG.tuning(LIMIT)
+GAINS = TUNING.gain, TUNING.drift_gain
 
 
 @dataclass(frozen=True)
@@ -150,18 +151,35 @@ def test_touching_costs_more_the_earlier_and_ends_the_candidate():
     assert never < cost([inside] * 4, False) < 400.0
 
 
-def test_corrector_finds_constant_biases():
+TRUTH = corrector.Correction(*(np.float32(x) for x in ([0.02, -0.01, 0], [1e-3, 0, -2e-3], [0, 0.1, 0])))
+
+
+def corrections(truth, noise, replans, seed=0):
+    """The corrections found at each replan from predictions that lack `truth` and measurements of some noise."""
     apply, update = jax.jit(corrector.apply), jax.jit(corrector.update)
-    truth = corrector.Correction(*(np.float32(x) for x in ([0.02, -0.01, 0], [1e-3, 0, -2e-3], [0, 0.1, 0])))
-    view = view_at((5, 5, 5))
-    found = corrector.no_correction()
-    for _ in range(60):
-        measured = apply(truth, view, np.float32(2.0))
-        predicted = apply(found, view, np.float32(2.0))
-        found = update(found, predicted, measured, 2.0, TUNING.gain, TUNING.drift_gain)
-    np.testing.assert_allclose(found.acceleration, truth.acceleration, atol=1e-5)
-    np.testing.assert_allclose(found.angular, truth.angular, atol=1e-6)
-    np.testing.assert_allclose(found.drift, truth.drift, atol=1e-3)
+    view, known, found = view_at((5, 5, 5)), corrector.init_corrector(), []
+    for error in np.random.default_rng(seed).normal(size=(replans, 13)) * noise:
+        measured = apply(truth, view, np.float32(2.0)) + np.float32(error)
+        known = update(known, apply(known.correction, view, np.float32(2.0)), measured, 2.0, *GAINS)
+        found.append(known.correction)
+    return jax.tree.map(lambda *rows: np.stack(rows), *found)
+
+
+def test_corrector_finds_constant_biases():
+    found = jax.tree.map(lambda rows: rows[-1], corrections(TRUTH, 0.0, 60))
+    np.testing.assert_allclose(found.acceleration, TRUTH.acceleration, atol=1e-5)
+    np.testing.assert_allclose(found.angular, TRUTH.angular, atol=1e-6)
+    np.testing.assert_allclose(found.drift, TRUTH.drift, atol=1e-3)
+
+
+def test_corrector_leaves_noise_alone_and_finds_what_stands_out_of_it():
+    noise = np.repeat([0.25, 0.03, 0, 1e-5], [3, 3, 4, 3]) / 3**0.5  # m, m/s, -, rad/s
+    nothing = corrections(corrector.no_correction(), noise, 400)
+    # The mean alone would wander by half the noise of one residual, 9 mm/s2, and as many cm/s.
+    assert np.sqrt(np.mean(nothing.acceleration[20:] ** 2)) < 1.5e-3
+    assert np.sqrt(np.mean(nothing.drift[20:] ** 2)) < 1e-2
+    loud = corrections(TRUTH._replace(acceleration=np.float32([0.06, -0.03, 0])), noise, 400)
+    np.testing.assert_allclose(loud.acceleration[20:].mean(axis=0), [0.06, -0.03, 0], atol=6e-3)
 
 
 def test_the_coasting_wrench_cancels_a_steady_acceleration():

@@ -146,11 +146,11 @@ class PlannerConfig(BaseModel):
     """s."""
 
     corrector: bool = True
-    """Integrate what the model got wrong over the last chunk into additive accelerations and a drift."""
+    """Make what the model keeps getting wrong over its chunks additive accelerations and a drift."""
     gain: Fraction = 0.4
-    """Share of a residual acceleration taken over at each replan. Prototype: 0.3 to 0.6 work."""
+    """Weight of a chunk's error in the mean error of acceleration. Prototype: 0.3 to 0.6 work."""
     drift_gain: Fraction = 0.12
-    """Share of a residual drift of position taken over at each replan. Prototype: 0.3 of `gain`."""
+    """The same for the drift of position. Prototype: 0.3 of `gain`."""
 
     @field_validator("objective", mode="before")
     @classmethod

@@ -1,8 +1,8 @@
 """A residual-bias corrector: what the model got wrong since the last replan becomes a standing correction.
 
-Docking to a tenth of a metre fails on accelerations of a few mm/s2 that the model does not know of. An
-integral term on the model's own prediction error removes any constant one, whatever its cause and whatever
-the model.
+Docking to a tenth of a metre fails on accelerations of a few mm/s2 that the model does not know of. The mean of
+the model's own prediction errors, as far as it stands out of their noise, makes up for any constant one, whatever its
+cause and whatever the model.
 """
 
 from typing import NamedTuple
@@ -11,6 +11,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply
+
+MEMORY = 8
+"""Replans over which the noise is averaged."""
+CAUTION = 3.0
+"""How often the mean square that noise alone would leave in a mean is taken off it."""
 
 
 class Correction(NamedTuple):
@@ -41,27 +46,62 @@ def apply(correction: Correction, view: Float[Array, "13"], elapsed: Float[Array
     )
 
 
+class Corrector(NamedTuple):
+    """What one episode has learned of its model's errors; rows as in `Correction`.
+
+    Attributes:
+        mean: exponentially weighted mean of the errors seen at the replans.
+        noise: variance of an axis of one error, running mean over `MEMORY` replans.
+        last: the latest error.
+        count: errors seen.
+        correction: what stands out of the noise.
+    """
+
+    mean: Float[Array, "3 3"]
+    noise: Float[Array, "3"]
+    last: Float[Array, "3 3"]
+    count: Float[Array, ""]
+    correction: Correction
+
+
+def init_corrector(dtype: str = "float32") -> Corrector:
+    """Nothing learned yet."""
+    zero = jnp.zeros((3, 3), dtype)
+    return Corrector(zero, zero[0], zero, zero[0, 0], no_correction(dtype))
+
+
 def update(
-    correction: Correction,
+    known: Corrector,
     predicted: Float[Array, "13"],
     measured: Float[Array, "13"],
     elapsed: Float[Array, ""] | float,
     gain: Float[Array, ""],
     drift_gain: Float[Array, ""],
-) -> Correction:
-    """Take over a share of the residual rates between a corrected prediction and the measurement of the same
-    instant.
+) -> Corrector:
+    """Learn from a corrected prediction and the measurement of the same instant.
+
+    Acting on the whole mean, the noise of a poor sensor would walk the chaser about. White noise of variance `s`
+    leaves a mean of gain `g` with the variance `s g / (2 - g)`, so the mean is shrunk by `CAUTION` times that.
 
     Args:
-        predicted: view predicted `elapsed` seconds ahead with `correction` applied.
+        known: before.
+        predicted: view predicted `elapsed` seconds ahead with the correction applied.
         measured: view measured then.
-        gain: share of the residual accelerations; drift_gain: share of the residual drift.
+        gain: weight of a new error in the mean of the accelerations; drift_gain: of the drift.
+
+    Source: James and Stein (1961), positive part; von Neumann (1941), for the variance from successive differences,
+    which a bias does not enter.
     """
     velocity = measured[3:6] - predicted[3:6]
     # The part of the position residual that the velocity residual explains is no drift.
     position = measured[:3] - predicted[:3] - 0.5 * elapsed * velocity
-    return Correction(
-        acceleration=correction.acceleration + gain * velocity / elapsed,
-        angular=correction.angular + gain * (measured[10:] - predicted[10:]) / elapsed,
-        drift=correction.drift + drift_gain * position / elapsed,
-    )
+    residual = jnp.stack([velocity, measured[10:] - predicted[10:], position]) / elapsed
+    error = jnp.stack(known.correction) + residual
+
+    weight = jnp.stack([gain, gain, drift_gain])
+    mean = known.mean + weight[:, None] * (error - known.mean)
+    changed = jnp.where(known.count > 0, 0.5 * jnp.mean((error - known.last) ** 2, axis=1), jnp.mean(error**2, axis=1))
+    noise = known.noise + (changed - known.noise) / jnp.minimum(known.count + 1, MEMORY)
+    chance = noise * weight / (2 - weight)
+    share = jnp.clip(1 - CAUTION * chance / jnp.maximum(jnp.mean(mean**2, axis=1), 1e-30), 0, 1)
+    return Corrector(mean, noise, error, known.count + 1, Correction(*(share[:, None] * mean)))

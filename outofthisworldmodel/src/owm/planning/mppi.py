@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
 from owm.model.interface import History, WorldModel
 from owm.planning.config import Shape, Tuning
-from owm.planning.corrector import Correction, apply, no_correction, update
+from owm.planning.corrector import Corrector, apply, init_corrector, update
 from owm.planning.objective import sequence_cost
 from owm_envs.geodesic import GeodesicField, clearance
 
@@ -28,7 +28,7 @@ class PlannerState(NamedTuple):
     """The view predicted for the next replan (its quaternion an average, not of unit length)."""
     started: Bool[Array, ""]
     """Whether `expected` means anything: not before the first replan nor after a prediction gone astray."""
-    correction: Correction
+    corrector: Corrector
 
 
 def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
@@ -37,7 +37,7 @@ def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
         plan=jnp.zeros((shape.horizon, 6), dtype),
         expected=jnp.zeros(13, dtype),
         started=jnp.zeros((), bool),
-        correction=no_correction(dtype),
+        corrector=init_corrector(dtype),
     )
 
 
@@ -128,8 +128,8 @@ def plan(
     measured = history.observation[-1].astype(dtype)
     goal = goal.astype(dtype)
     duration = shape.chunk * model.dt
-    learned = update(state.correction, state.expected, measured, duration, tuning.gain, tuning.drift_gain)
-    correction = jax.tree.map(lambda new, old: jnp.where(state.started, new, old), learned, state.correction)
+    learned = update(state.corrector, state.expected, measured, duration, tuning.gain, tuning.drift_gain)
+    corrector = jax.tree.map(lambda new, old: jnp.where(state.started, new, old), learned, state.corrector)
 
     distance = jnp.sqrt(jnp.sum((measured[:3] - goal[:3]) ** 2))
     nearness = jnp.minimum(1, tuning.sigma_near + (1 - tuning.sigma_near) * distance / tuning.sigma_distance)
@@ -142,7 +142,7 @@ def plan(
         start, _ = jax.lax.scan(lambda at, wrench: (model.step(params, None, wrench, at), None), start, committed)
     views = jax.vmap(lambda actions: rollout(model, params, start, actions * tuning.limit))(candidates)
     elapsed = model.dt * (shape.latency + jnp.arange(1, shape.horizon + 1, dtype=dtype))
-    views = jax.vmap(jax.vmap(apply, (None, 0, 0)), (None, 0, None))(correction, views, elapsed)
+    views = jax.vmap(jax.vmap(apply, (None, 0, 0)), (None, 0, None))(corrector.correction, views, elapsed)
     clear = clearance(field, measured[:3]) >= 0
     costs = jax.vmap(lambda v, u: sequence_cost(shape.objective, tuning.weights, field, port, goal, clear, v, u))(
         views, candidates
@@ -159,4 +159,4 @@ def plan(
     # well below the sensors' noise, so they may be averaged like them, which saves another rollout and its
     # compilation.
     expected = jnp.einsum("k,ki->i", weights, views[:, shape.chunk - shape.latency - 1])
-    return wrenches, PlannerState(following, expected, jnp.all(jnp.isfinite(expected)), correction)
+    return wrenches, PlannerState(following, expected, jnp.all(jnp.isfinite(expected)), corrector)
