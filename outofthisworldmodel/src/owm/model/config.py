@@ -12,8 +12,9 @@ class ModelConfig(BaseModel):
 
     stream: Literal["kinematic", "latent"] = "kinematic"
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
-    skip: Literal["bilinear", "none"] = "bilinear"
-    """What the latent stream adds to the network's prediction: a least-squares map of its features, or nothing."""
+    skip: Literal["bilinear", "learned", "none"] = "bilinear"
+    """What the latent stream adds to the network's prediction: a least-squares map of its features, a quadratic layer
+    trained like all other weights, or nothing."""
     backbone: Literal["transformer", "gru", "mlp"] = "transformer"
     """What relates the tokens of a history: attention, or a recurrent or a feed-forward network of the same size."""
     dt: PositiveFloat = 0.25

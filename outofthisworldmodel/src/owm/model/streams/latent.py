@@ -24,6 +24,8 @@ SIZES = (3, 3, 9, 3)
 _FEATURES = sum(SIZES)
 _OWNER = np.repeat(np.arange(len(SIZES)), SIZES)
 _MEMBERS = np.eye(len(SIZES))[:, _OWNER]  # (4, 18): which features are a token's
+_INPUTS = 1 + _FEATURES + 6  # one, features, action
+QUICK = 10.0
 SECONDS = 10.0
 """The way gone in this time at the root-mean-square speed is the unit of position."""
 
@@ -82,6 +84,8 @@ class LatentStream(eqx.Module):
     encoder: Perceptron
     decoder: Perceptron
     context: Linear
+    quadratic: Float[Array, "625 18"] | None
+    spread: Float[Array, "4"] | None
     width: int = eqx.field(static=True)
     skip: str = eqx.field(static=True)
     token_count: ClassVar[int] = len(SIZES)
@@ -93,6 +97,9 @@ class LatentStream(eqx.Module):
         self.encoder = Perceptron(_FEATURES, hidden, flat, dtype, key=k_encoder, scale=0.0)
         self.decoder = Perceptron(flat, hidden, _FEATURES, dtype, key=k_decoder, scale=0.0)
         self.context = Linear(3, config.width, dtype, key=k_context, scale=0.1)
+        learned = config.skip == "learned"
+        self.quadratic = jnp.zeros((_INPUTS**2, _FEATURES), dtype) if learned else None
+        self.spread = jnp.zeros(len(SIZES), dtype) if learned else None
 
     @property
     def residual_size(self) -> int:
@@ -162,14 +169,21 @@ class LatentStream(eqx.Module):
 
     def _scale(self, statistics: Statistics) -> Float[Array, "4 1"]:
         """Return the size of residuals. All that is learned is counted in it, so that it begins small."""
-        scale = statistics.change_scale if self.skip == "none" else statistics.residual_scale
+        scale = statistics.residual_scale if self.skip == "bilinear" else statistics.change_scale
+        if self.spread is not None:
+            scale = scale * jax.lax.stop_gradient(jnp.exp(QUICK * self.spread))
         return scale[:, None] * self.width**-0.5
 
-    def _change(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
+    def _change(self, statistics: Statistics, carry: Latent, action: Array, *, learn=False) -> Float[Array, "4 d"]:
         """Return the change of the tokens by the least-squares map."""
         if self.skip == "none":
             return jnp.zeros_like(carry.tokens)
         scaled = self.read(carry.tokens)
+        if self.quadratic is not None:
+            inputs = jnp.concatenate([jnp.ones_like(scaled[:1]), scaled, action / statistics.action_scale])
+            weight = self.quadratic if learn else jax.lax.stop_gradient(self.quadratic)
+            change = (inputs[:, None] * inputs[None, :]).reshape(-1) @ weight
+            return self.embed(statistics.change_scale[_OWNER] * change)
         absolute = scaled.at[:3].add(carry.anchor[:3] / statistics.feature_scale[0])
         return self.embed(bilinear_change(statistics.transition, absolute, action / statistics.action_scale))
 
@@ -182,6 +196,17 @@ class LatentStream(eqx.Module):
         """
         change = after.tokens - before.tokens - self._change(statistics, before, action)
         return jax.lax.stop_gradient(change / self._scale(statistics))
+
+    def change_loss(
+        self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, ""]:
+        """Return the negative logarithm of a normal density: of measured changes about those of the trained layer."""
+        if self.spread is None:
+            return jnp.zeros((), action.dtype)
+        before, after = jax.lax.stop_gradient((before, after))
+        left = self.read(after.tokens - before.tokens - self._change(statistics, before, action, learn=True))
+        square = jnp.asarray(_MEMBERS, left.dtype) @ left**2 / statistics.change_scale**2
+        return jnp.mean(0.5 * square * jnp.exp(-2.0 * QUICK * self.spread) + QUICK * self.spread)
 
     def advance(
         self,
