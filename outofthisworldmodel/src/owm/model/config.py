@@ -55,6 +55,7 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
+    "latent": ModelConfig(stream="latent", skip="learned"),
     "paper": ModelConfig(
         stream="latent",
         skip="none",
@@ -68,7 +69,8 @@ PRESETS: dict[str, ModelConfig] = {
         head="velocity",
     ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the stream and the widths of the publication, without images."""
+"""Named sizes; `nano` trains on a laptop, and so does `latent`, all learned; `paper` has the stream and the widths of
+the publication, without images."""
 
 
 def preset(name: str) -> ModelConfig:

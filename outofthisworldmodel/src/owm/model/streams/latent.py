@@ -25,9 +25,10 @@ _FEATURES = sum(SIZES)
 _OWNER = np.repeat(np.arange(len(SIZES)), SIZES)
 _MEMBERS = np.eye(len(SIZES))[:, _OWNER]  # (4, 18): which features are a token's
 _INPUTS = 1 + _FEATURES + 6  # one, features, action
-QUICK = 10.0
 SECONDS = 10.0
 """The way gone in this time at the root-mean-square speed is the unit of position."""
+HASTE = 10.0
+"""Trained spreads count in a tenth of e-folds, because Adam moves all weights alike and these fall a hundredfold."""
 
 
 class Statistics(NamedTuple):
@@ -77,8 +78,14 @@ class LatentStream(eqx.Module):
     losing a feature or shrinking, so that latents cannot collapse while targets have a scale that is measured once.
     Velocity and attitude are in the station's axes: in those of the window's first pose, orbital and gyroscopic terms
     would be products of three features, which the map has not.
-    A token's next value is its own, plus what a least-squares map of the encoded features gives (unless
-    `config.skip` is "none"), plus what the flow head predicts.
+    A token's next value is its own, plus what a layer of the encoded features gives, plus what the flow head predicts.
+    `config.skip` says which layer: a least-squares map, none, or a trained one that sees every product of two of the
+    features and actions, or of one with one, and begins at zero. Nothing tells it which of them matter. It is trained
+    on measured steps alone (`change_loss`), where the problem is convex; gradients of rollouts would drown that.
+
+    Attributes:
+        quadratic: the trained layer.
+        spread: how much of a token's change it leaves, as a logarithm in tenths: the unit of what the head predicts.
     """
 
     encoder: Perceptron
@@ -171,21 +178,26 @@ class LatentStream(eqx.Module):
         """Return the size of residuals. All that is learned is counted in it, so that it begins small."""
         scale = statistics.residual_scale if self.skip == "bilinear" else statistics.change_scale
         if self.spread is not None:
-            scale = scale * jax.lax.stop_gradient(jnp.exp(QUICK * self.spread))
+            scale = scale * jax.lax.stop_gradient(jnp.exp(HASTE * self.spread))
         return scale[:, None] * self.width**-0.5
 
-    def _change(self, statistics: Statistics, carry: Latent, action: Array, *, learn=False) -> Float[Array, "4 d"]:
-        """Return the change of the tokens by the least-squares map."""
+    def _change(
+        self, statistics: Statistics, carry: Latent, action: Array, quadratic: Array | None
+    ) -> Float[Array, "4 d"]:
+        """Return the change of the tokens by the layer under the network."""
         if self.skip == "none":
             return jnp.zeros_like(carry.tokens)
-        scaled = self.read(carry.tokens)
-        if self.quadratic is not None:
-            inputs = jnp.concatenate([jnp.ones_like(scaled[:1]), scaled, action / statistics.action_scale])
-            weight = self.quadratic if learn else jax.lax.stop_gradient(self.quadratic)
-            change = (inputs[:, None] * inputs[None, :]).reshape(-1) @ weight
+        scaled, action = self.read(carry.tokens), action / statistics.action_scale
+        if quadratic is not None:
+            inputs = jnp.concatenate([jnp.ones_like(scaled[:1]), scaled, action])
+            change = (inputs[:, None] * inputs[None, :]).reshape(-1) @ quadratic
             return self.embed(statistics.change_scale[_OWNER] * change)
         absolute = scaled.at[:3].add(carry.anchor[:3] / statistics.feature_scale[0])
-        return self.embed(bilinear_change(statistics.transition, absolute, action / statistics.action_scale))
+        return self.embed(bilinear_change(statistics.transition, absolute, action))
+
+    def _held(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
+        """Return the same with the trained layer held fixed."""
+        return self._change(statistics, carry, action, jax.lax.stop_gradient(self.quadratic))
 
     def target(
         self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
@@ -194,19 +206,22 @@ class LatentStream(eqx.Module):
 
         No gradient passes: the encoder is to serve prediction and decoder, not to make its own targets easy.
         """
-        change = after.tokens - before.tokens - self._change(statistics, before, action)
+        change = after.tokens - before.tokens - self._held(statistics, before, action)
         return jax.lax.stop_gradient(change / self._scale(statistics))
 
     def change_loss(
         self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
     ) -> Float[Array, ""]:
-        """Return the negative logarithm of a normal density: of measured changes about those of the trained layer."""
-        if self.spread is None:
+        """Return the negative log density of a measured change, normal about the trained layer's, but for a constant.
+
+        Zero without such a layer.
+        """
+        if self.quadratic is None:
             return jnp.zeros((), action.dtype)
         before, after = jax.lax.stop_gradient((before, after))
-        left = self.read(after.tokens - before.tokens - self._change(statistics, before, action, learn=True))
+        left = self.read(after.tokens - before.tokens - self._change(statistics, before, action, self.quadratic))
         square = jnp.asarray(_MEMBERS, left.dtype) @ left**2 / statistics.change_scale**2
-        return jnp.mean(0.5 * square * jnp.exp(-2.0 * QUICK * self.spread) + QUICK * self.spread)
+        return jnp.mean(0.5 * square * jnp.exp(-2.0 * HASTE * self.spread) + HASTE * self.spread)
 
     def advance(
         self,
@@ -218,8 +233,8 @@ class LatentStream(eqx.Module):
         *,
         sampled: bool,
     ) -> Latent:
-        """Add the map's change and the predicted residual to the tokens."""
-        change = self._change(statistics, carry, action) + self._scale(statistics) * residual
+        """Add the layer's change and the predicted residual to the tokens."""
+        change = self._held(statistics, carry, action) + self._scale(statistics) * residual
         return carry._replace(tokens=carry.tokens + change)
 
     def decoded(self, statistics: Statistics, carry: Latent) -> Float[Array, "18"]:
