@@ -36,9 +36,10 @@ class Statistics(NamedTuple):
 
     Attributes:
         feature_scale: units of the four kinds of features: m, m/s, none, rad/s.
-        transition: the least-squares map under the network, in scaled features and actions.
+        transition: the least-squares map under the network, in scaled features and actions; not read where
+            `config.skip` is another.
         residual_scale: root mean square of a token's change that the map leaves, per component of the token.
-        change_scale: the same of the whole change, for a model without the map.
+        change_scale: the same of the whole change, for models without the map.
         action_scale: root mean square of each action component.
     """
 
@@ -81,7 +82,7 @@ class LatentStream(eqx.Module):
     A token's next value is its own, plus what a layer of the encoded features gives, plus what the flow head predicts.
     `config.skip` says which layer: a least-squares map, none, or a trained one that sees every product of two of the
     features and actions, or of one with one, and begins at zero. Nothing tells it which of them matter. It is trained
-    on measured steps alone (`change_loss`), where the problem is convex; gradients of rollouts would drown that.
+    on measured steps alone (`change_loss`), a convex problem, because the gradients of rollouts would drown theirs.
 
     Attributes:
         quadratic: the trained layer.
@@ -181,23 +182,17 @@ class LatentStream(eqx.Module):
             scale = scale * jax.lax.stop_gradient(jnp.exp(HASTE * self.spread))
         return scale[:, None] * self.width**-0.5
 
-    def _change(
-        self, statistics: Statistics, carry: Latent, action: Array, quadratic: Array | None
-    ) -> Float[Array, "4 d"]:
+    def _change(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
         """Return the change of the tokens by the layer under the network."""
         if self.skip == "none":
             return jnp.zeros_like(carry.tokens)
         scaled, action = self.read(carry.tokens), action / statistics.action_scale
-        if quadratic is not None:
+        if self.quadratic is not None:
             inputs = jnp.concatenate([jnp.ones_like(scaled[:1]), scaled, action])
-            change = (inputs[:, None] * inputs[None, :]).reshape(-1) @ quadratic
+            change = (inputs[:, None] * inputs[None, :]).reshape(-1) @ self.quadratic
             return self.embed(statistics.change_scale[_OWNER] * change)
         absolute = scaled.at[:3].add(carry.anchor[:3] / statistics.feature_scale[0])
         return self.embed(bilinear_change(statistics.transition, absolute, action))
-
-    def _held(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
-        """Return the same with the trained layer held fixed."""
-        return self._change(statistics, carry, action, jax.lax.stop_gradient(self.quadratic))
 
     def target(
         self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
@@ -206,7 +201,7 @@ class LatentStream(eqx.Module):
 
         No gradient passes: the encoder is to serve prediction and decoder, not to make its own targets easy.
         """
-        change = after.tokens - before.tokens - self._held(statistics, before, action)
+        change = after.tokens - before.tokens - self._change(statistics, before, action)
         return jax.lax.stop_gradient(change / self._scale(statistics))
 
     def change_loss(
@@ -219,7 +214,7 @@ class LatentStream(eqx.Module):
         if self.quadratic is None:
             return jnp.zeros((), action.dtype)
         before, after = jax.lax.stop_gradient((before, after))
-        left = self.read(after.tokens - before.tokens - self._change(statistics, before, action, self.quadratic))
+        left = self.read(after.tokens - before.tokens - self._change(statistics, before, action))
         square = jnp.asarray(_MEMBERS, left.dtype) @ left**2 / statistics.change_scale**2
         return jnp.mean(0.5 * square * jnp.exp(-2.0 * HASTE * self.spread) + HASTE * self.spread)
 
@@ -234,7 +229,8 @@ class LatentStream(eqx.Module):
         sampled: bool,
     ) -> Latent:
         """Add the layer's change and the predicted residual to the tokens."""
-        change = self._held(statistics, carry, action) + self._scale(statistics) * residual
+        layer = jax.lax.stop_gradient(self)
+        change = layer._change(statistics, carry, action) + self._scale(statistics) * residual
         return carry._replace(tokens=carry.tokens + change)
 
     def decoded(self, statistics: Statistics, carry: Latent) -> Float[Array, "18"]:
