@@ -1,5 +1,6 @@
-"""The latent stream: its codec, the map it rests on, that it learns without collapsing, its files."""
+"""The latent stream: its codec, the layers it rests on, that it learns without collapsing, its files."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,7 @@ from owm.model.checkpoint import load_world_model, save_world_model
 from owm.model.config import PRESETS, ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.kinematics import quaternion, rotation, view_error
-from owm.model.streams.latent import LatentStream, features
+from owm.model.streams.latent import HASTE, LatentStream, features
 from owm.model.world_model import LearnedWorldModel, Network, Params, parameter_counts
 from owm.policies import kind_of
 from owm.training.loss import draw, window_losses
@@ -86,6 +87,76 @@ def test_untrained_it_predicts_by_its_map(untrained, episodes):
     assert (fitted.mean("position_m") < 0.2).all()
 
 
+@pytest.fixture(scope="module")
+def learned(statistics, episodes):
+    """A model whose trained layer alone has been trained."""
+    config = CONFIG.model_copy(update={"skip": "learned"})
+    network = jax.jit(lambda: Network(config, key=jax.random.key(1)))()
+    windows, steps = episodes.windows(4, 1500, seed=2), 1500
+    valid = jnp.ones(4, bool)
+    optimizer = optax.adam(optax.cosine_decay_schedule(1e-2, steps))
+
+    def loss(stream, observation, action):
+        carries = stream.follow(statistics, observation, action, valid, config.dt)
+        before, after = (jax.tree.map(lambda x, i=i: x[i], carries) for i in (2, 3))
+        return stream.change_loss(statistics, before, after, action[2], config.dt)
+
+    @jax.jit
+    def learn(stream):
+        def step(carry, key):
+            stream, state = carry
+            chosen = jax.random.randint(key, (256,), 0, len(windows.action))
+            gradient = jax.grad(
+                lambda s: jnp.mean(jax.vmap(loss, (None, 0, 0))(s, windows.observation[chosen], windows.action[chosen]))
+            )(stream)
+            updates, state = optimizer.update(gradient, state, stream)
+            return (optax.apply_updates(stream, updates), state), None
+
+        keys = jax.random.split(jax.random.key(3), steps)
+        return jax.lax.scan(step, (stream, optimizer.init(stream)), keys)[0][0]
+
+    network = eqx.tree_at(lambda net: net.stream, network, learn(network.stream))
+    return LearnedWorldModel(config, Params(network, statistics))
+
+
+def test_the_trained_layer_finds_the_motion_by_itself(learned, statistics, episodes):
+    windows = episodes.windows(4 + 32, 48, seed=1)
+    coasting = prediction_error(ConstantVelocity(history_length=4), windows, (8, 32), batch=48)
+    found = prediction_error(learned, windows, (8, 32), batch=48)
+    for quantity in ("velocity_mps", "attitude_deg", "rate_degps"):
+        assert (found.mean(quantity) < 0.3 * coasting.mean(quantity)).all()
+    # It leaves of positions and velocities what the least-squares map does, noise; of the others little.
+    left = np.exp(HASTE * np.asarray(learned.params.network.stream.spread)) * statistics.change_scale
+    np.testing.assert_allclose(left[:2], statistics.residual_scale[:2], rtol=0.2)
+    assert (left[2:] < 0.15 * statistics.change_scale[2:]).all()
+
+
+def test_the_trained_layer_learns_from_measured_steps_alone(learned, statistics, episodes):
+    window = episodes.windows(2, 1, seed=3)
+    view, action, residual = window.observation[0], window.action[0, 0], jnp.ones((4, 16), jnp.float32)
+
+    @jax.jit
+    @jax.grad
+    def measured(stream):
+        before, after = (stream.observe(statistics, carry, action, v, 0.25) for carry, v in zip(carries, view))
+        return stream.change_loss(statistics, before, after, action, 0.25)
+
+    @jax.jit
+    @jax.grad
+    def predicted(stream):
+        carry = stream.observe(statistics, carries[0], action, view[0], 0.25)
+        carry = stream.advance(statistics, carry, residual, action, 0.25, sampled=False)
+        return stream.decode_loss(statistics, carry, view[1])
+
+    stream = learned.params.network.stream
+    carries = [stream.follow(statistics, view[:1], action[:0, None], jnp.ones(1, bool), 0.25)] * 2
+    carries = jax.tree.map(lambda x: x[0], carries)
+    for gradient, layer, rest in ((measured(stream), True, False), (predicted(stream), False, True)):
+        for part in (gradient.quadratic, gradient.spread):
+            assert bool(jnp.any(part != 0.0)) == layer
+        assert bool(jnp.any(gradient.encoder.fall.bias != 0.0)) == rest
+
+
 def test_latents_do_not_collapse_in_training(statistics, episodes):
     """Without the map, where making targets easy would pay most."""
     config = CONFIG.model_copy(update={"skip": "none", "head": "flow"})
@@ -135,10 +206,12 @@ def test_latents_do_not_collapse_in_training(statistics, episodes):
     assert int((spread > 1e-3 * spread[0]).sum()) >= 12, "as many directions as a rigid body's motion has"
 
 
-def test_it_survives_the_disk(untrained, tmp_path):
-    folder = save_world_model(untrained, tmp_path / "m")
-    loaded = load_world_model(folder, expect=CONFIG)
-    for a, b in zip(jax.tree.leaves(loaded.params), jax.tree.leaves(untrained.params), strict=True):
+@pytest.mark.parametrize("kind", ["untrained", "learned"])
+def test_it_survives_the_disk(kind, request, tmp_path):
+    model = request.getfixturevalue(kind)
+    folder = save_world_model(model, tmp_path / "m")
+    loaded = load_world_model(folder, expect=model.config)
+    for a, b in zip(jax.tree.leaves(loaded.params), jax.tree.leaves(model.params), strict=True):
         np.testing.assert_array_equal(a, b)
     assert kind_of(str(folder)) == "latent world model", "reports say what it was given, and that is no kinematics"
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 Shell = Literal["100-225", "100-125"]
-Preset = Literal["ci", "nano", "small", "paper"]
+Preset = Literal["ci", "nano", "small", "latent", "paper"]
 
 
 def fly(

@@ -12,8 +12,9 @@ class ModelConfig(BaseModel):
 
     stream: Literal["kinematic", "latent"] = "kinematic"
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
-    skip: Literal["bilinear", "none"] = "bilinear"
-    """What the latent stream adds to the network's prediction: a least-squares map of its features, or nothing."""
+    skip: Literal["bilinear", "learned", "none"] = "bilinear"
+    """What the latent stream adds to the network's prediction: a least-squares map of its features, a quadratic layer
+    trained like all other weights, or nothing."""
     backbone: Literal["transformer", "gru", "mlp"] = "transformer"
     """What relates the tokens of a history: attention, or a recurrent or a feed-forward network of the same size."""
     dt: PositiveFloat = 0.25
@@ -58,6 +59,7 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
+    "latent": ModelConfig(stream="latent", skip="learned"),
     "paper": ModelConfig(
         stream="latent",
         skip="none",
@@ -72,7 +74,8 @@ PRESETS: dict[str, ModelConfig] = {
         head="velocity",
     ),
 }
-"""Named sizes; `nano` trains on a laptop, `paper` has the publication's stream, widths and denoiser, without images."""
+"""Named sizes; `nano` trains on a laptop, and so does `latent`, all learned; `paper` has the publication's stream,
+widths and denoiser, without images."""
 
 
 def preset(name: str) -> ModelConfig:

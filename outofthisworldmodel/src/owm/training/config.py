@@ -109,6 +109,12 @@ PRESETS: dict[str, TrainConfig] = {
     "ci": TrainConfig(steps=400, warmup=50, rollouts=((1.0, 16),), save_every=200, chunk=50, validation_windows=128),
     "nano": TrainConfig(),
     "small": TrainConfig(model=MODELS["small"], steps=20_000, rollouts=((0.4, 16), (0.8, 32), (1.0, 64))),
+    "latent": TrainConfig(
+        model=MODELS["latent"],
+        learning_rate=3e-3,
+        warmup=100,
+        rollouts=((0.4, 4), (0.6, 8), (0.8, 16), (1.0, 32)),
+    ),
     "paper": TrainConfig(
         model=MODELS["paper"],
         epochs=16,
@@ -119,7 +125,8 @@ PRESETS: dict[str, TrainConfig] = {
         round_trip_weight=0.0,
     ),
 }
-"""`ci`: about half a minute on two cores; `nano`: minutes; `small`: an hour; `paper`: an accelerator (not measured)."""
+"""`ci`: about half a minute on two cores; `nano`, `latent`: minutes; `small`: an hour; `paper`: an accelerator (not
+measured). `latent` begins with short rollouts, while the layer under the network is found, and those are cheap."""
 
 
 def preset(name: str) -> TrainConfig:

@@ -16,11 +16,13 @@ class Losses(NamedTuple):
 
     Attributes:
         flow: the head's loss on the next measurement after every measured history of the window.
+        change: the stream's own loss on every measured step; zero where nothing under the network is trained.
         decode: mean decode loss of the rolled-out predictions over all depths, in the stream's loss units.
         round_trip: the same of the encoded measurements, no dynamics between; zero where nothing is encoded.
     """
 
     flow: Float[Array, ""]
+    change: Float[Array, ""]
     decode: Float[Array, ""]
     round_trip: Float[Array, ""]
 
@@ -87,7 +89,8 @@ def window_losses(
     target = jax.vmap(lambda b, a, u: stream.target(statistics, b, a, u, dt))(before, after, action)
     error = jax.vmap(network.head.loss)(target, outputs, draws.level, draws.noise)
     counts = whole.valid[:-1]
-    flow = jnp.sum(jnp.where(counts, error, 0.0)) / jnp.sum(counts)
+    left = jax.vmap(lambda b, a, u: stream.change_loss(statistics, b, a, u, dt))(before, after, action)
+    flow, change = (jnp.sum(jnp.where(counts, x, 0.0)) / jnp.sum(counts) for x in (error, left))
 
     # ... and what is expected of a rollout.
     def advance(state: ModelState, step: tuple) -> tuple[ModelState, Array]:
@@ -104,4 +107,4 @@ def window_losses(
     state = model.encode(params, history_of(observation, action, length, context))
     _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
     lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, whole.observation)
-    return Losses(flow, jnp.mean(decode), jnp.mean(lost))
+    return Losses(flow, change, jnp.mean(decode), jnp.mean(lost))

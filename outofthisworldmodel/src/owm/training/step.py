@@ -116,7 +116,8 @@ def train_chunk(
                 lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d)
             )(observation[index], action[index[:, :-1]], context, draws)
             losses = jax.tree.map(jnp.mean, losses)
-            weighted = Losses(config.flow_weight, config.decode_weight, config.round_trip_weight)
+            # What `change` trains, no other term does.
+            weighted = Losses(config.flow_weight, 1.0, config.decode_weight, config.round_trip_weight)
             return sum(jax.tree.map(jnp.multiply, weighted, losses)), losses
 
         return jax.grad(objective, has_aux=True)(network)

@@ -62,6 +62,11 @@ class Stream(Protocol):
     ) -> Float[Array, "n r"]:
         """Return the residual, of unit variance, with which `advance` leads from a carry to the next measurement."""
 
+    def change_loss(
+        self, statistics: Any, before: Any, after: Any, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, ""]:
+        """Compare a measured step with what the stream by itself predicts of it: trains what lies under the network."""
+
     def advance(
         self,
         statistics: Any,

@@ -157,6 +157,12 @@ class KinematicStream(eqx.Module):
         predicted = linear_advance(statistics.linear, before.motion, action, dt)
         return (displacement(predicted, after.view) / innovation_scale(statistics.filter, before))[None]
 
+    def change_loss(
+        self, statistics: Statistics, before: Track, after: Track, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, ""]:
+        """Return zero: the map under the network is not trained."""
+        return jnp.zeros((), action.dtype)
+
     def advance(
         self,
         statistics: Statistics,

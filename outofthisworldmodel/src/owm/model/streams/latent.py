@@ -24,8 +24,11 @@ SIZES = (3, 3, 9, 3)
 _FEATURES = sum(SIZES)
 _OWNER = np.repeat(np.arange(len(SIZES)), SIZES)
 _MEMBERS = np.eye(len(SIZES))[:, _OWNER]  # (4, 18): which features are a token's
+_INPUTS = 1 + _FEATURES + 6  # one, features, action
 SECONDS = 10.0
 """The way gone in this time at the root-mean-square speed is the unit of position."""
+HASTE = 10.0
+"""Trained spreads count in a tenth of e-folds, because Adam moves all weights alike and these fall a hundredfold."""
 
 
 class Statistics(NamedTuple):
@@ -33,9 +36,10 @@ class Statistics(NamedTuple):
 
     Attributes:
         feature_scale: units of the four kinds of features: m, m/s, none, rad/s.
-        transition: the least-squares map under the network, in scaled features and actions.
+        transition: the least-squares map under the network, in scaled features and actions; not read where
+            `config.skip` is another.
         residual_scale: root mean square of a token's change that the map leaves, per component of the token.
-        change_scale: the same of the whole change, for a model without the map.
+        change_scale: the same of the whole change, for models without the map.
         action_scale: root mean square of each action component.
     """
 
@@ -75,13 +79,21 @@ class LatentStream(eqx.Module):
     losing a feature or shrinking, so that latents cannot collapse while targets have a scale that is measured once.
     Velocity and attitude are in the station's axes: in those of the window's first pose, orbital and gyroscopic terms
     would be products of three features, which the map has not.
-    A token's next value is its own, plus what a least-squares map of the encoded features gives (unless
-    `config.skip` is "none"), plus what the flow head predicts.
+    A token's next value is its own, plus what a layer of the encoded features gives, plus what the flow head predicts.
+    `config.skip` says which layer: a least-squares map, none, or a trained one that sees every product of two of the
+    features and actions, or of one with one, and begins at zero. Nothing tells it which of them matter. It is trained
+    on measured steps alone (`change_loss`), a convex problem, because the gradients of rollouts would drown theirs.
+
+    Attributes:
+        quadratic: the trained layer.
+        spread: how much of a token's change it leaves, as a logarithm in tenths: the unit of what the head predicts.
     """
 
     encoder: Perceptron
     decoder: Perceptron
     context: Linear
+    quadratic: Float[Array, "625 18"] | None
+    spread: Float[Array, "4"] | None
     width: int = eqx.field(static=True)
     skip: str = eqx.field(static=True)
     token_count: ClassVar[int] = len(SIZES)
@@ -93,6 +105,9 @@ class LatentStream(eqx.Module):
         self.encoder = Perceptron(_FEATURES, hidden, flat, dtype, key=k_encoder, scale=0.0)
         self.decoder = Perceptron(flat, hidden, _FEATURES, dtype, key=k_decoder, scale=0.0)
         self.context = Linear(3, config.width, dtype, key=k_context, scale=0.1)
+        learned = config.skip == "learned"
+        self.quadratic = jnp.zeros((_INPUTS**2, _FEATURES), dtype) if learned else None
+        self.spread = jnp.zeros(len(SIZES), dtype) if learned else None
 
     @property
     def residual_size(self) -> int:
@@ -162,16 +177,22 @@ class LatentStream(eqx.Module):
 
     def _scale(self, statistics: Statistics) -> Float[Array, "4 1"]:
         """Return the size of residuals. All that is learned is counted in it, so that it begins small."""
-        scale = statistics.change_scale if self.skip == "none" else statistics.residual_scale
+        scale = statistics.residual_scale if self.skip == "bilinear" else statistics.change_scale
+        if self.spread is not None:
+            scale = scale * jax.lax.stop_gradient(jnp.exp(HASTE * self.spread))
         return scale[:, None] * self.width**-0.5
 
     def _change(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
-        """Return the change of the tokens by the least-squares map."""
+        """Return the change of the tokens by the layer under the network."""
         if self.skip == "none":
             return jnp.zeros_like(carry.tokens)
-        scaled = self.read(carry.tokens)
+        scaled, action = self.read(carry.tokens), action / statistics.action_scale
+        if self.quadratic is not None:
+            inputs = jnp.concatenate([jnp.ones_like(scaled[:1]), scaled, action])
+            change = (inputs[:, None] * inputs[None, :]).reshape(-1) @ self.quadratic
+            return self.embed(statistics.change_scale[_OWNER] * change)
         absolute = scaled.at[:3].add(carry.anchor[:3] / statistics.feature_scale[0])
-        return self.embed(bilinear_change(statistics.transition, absolute, action / statistics.action_scale))
+        return self.embed(bilinear_change(statistics.transition, absolute, action))
 
     def target(
         self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
@@ -183,6 +204,20 @@ class LatentStream(eqx.Module):
         change = after.tokens - before.tokens - self._change(statistics, before, action)
         return jax.lax.stop_gradient(change / self._scale(statistics))
 
+    def change_loss(
+        self, statistics: Statistics, before: Latent, after: Latent, action: Float[Array, "6"], dt: float
+    ) -> Float[Array, ""]:
+        """Return the negative log density of a measured change, normal about the trained layer's, but for a constant.
+
+        Zero without such a layer.
+        """
+        if self.quadratic is None:
+            return jnp.zeros((), action.dtype)
+        before, after = jax.lax.stop_gradient((before, after))
+        left = self.read(after.tokens - before.tokens - self._change(statistics, before, action))
+        square = jnp.asarray(_MEMBERS, left.dtype) @ left**2 / statistics.change_scale**2
+        return jnp.mean(0.5 * square * jnp.exp(-2.0 * HASTE * self.spread) + HASTE * self.spread)
+
     def advance(
         self,
         statistics: Statistics,
@@ -193,8 +228,9 @@ class LatentStream(eqx.Module):
         *,
         sampled: bool,
     ) -> Latent:
-        """Add the map's change and the predicted residual to the tokens."""
-        change = self._change(statistics, carry, action) + self._scale(statistics) * residual
+        """Add the layer's change and the predicted residual to the tokens."""
+        layer = jax.lax.stop_gradient(self)
+        change = layer._change(statistics, carry, action) + self._scale(statistics) * residual
         return carry._replace(tokens=carry.tokens + change)
 
     def decoded(self, statistics: Statistics, carry: Latent) -> Float[Array, "18"]:
