@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from owm.evaluation.statistics import holm, mcnemar, pair, quantiles_by, rate, seeded_rate, wilson
+from owm.evaluation.statistics import holm, mcnemar, median_interval, pair, quantiles_by, rate, seeded_rate, wilson
 from owm.evaluation.tables import percent
 
 
@@ -70,3 +70,13 @@ def test_quantiles_by_range_leave_out_what_is_missing():
     distance = np.array([0.5, 0.5, 0.5, 5.0, np.nan])
     rows = quantiles_by(distance, np.array([1.0, 2.0, 3.0, 9.0, np.nan]), (0, 1, 3, 10))
     assert [row["count"] for row in rows] == [3, 0, 1] and rows[0]["p50"] == 2.0 and np.isnan(rows[1]["p50"])
+
+
+def test_the_interval_of_a_median_covers_it_as_often_as_it_says():
+    assert median_interval(np.arange(5.0)) == (2.0, -np.inf, np.inf), "five values hold a median with 94 % at most"
+    assert median_interval(np.arange(6.0)) == (2.5, 0.0, 5.0)
+    # Conover's table for n = 20: the 6th and the 15th, 95.9 %.
+    assert median_interval(np.arange(1.0, 21.0)) == (10.5, 6.0, 15.0)
+    draws = np.random.default_rng(0).exponential(size=(2000, 21))
+    held = [low <= np.log(2) <= high for _, low, high in map(median_interval, draws)]
+    assert 0.95 <= np.mean(held) < 0.985

@@ -142,7 +142,7 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
                  for label, planner, condition in keys}  # fmt: skip
         yield condition_table(cells, 0.1, full=True)
         yield condition_table(cells, 1.0, full=False)
-        yield pace_table(cells)
+        yield pace_table(cells, study.against[-1] if study.against else None)
     for condition in study.conditions:
         rows = [flown[key] for key in keys if key[2] == condition]
         if not rows:

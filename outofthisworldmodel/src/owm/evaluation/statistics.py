@@ -138,6 +138,22 @@ def pair(
     return Pairs(first[0], second[0], *counts)
 
 
+def median_interval(values: Float[np.ndarray, "N"]) -> tuple[float, float, float]:
+    """Median and an interval between two order statistics that holds it with at least 95 %; infinite if none does.
+
+    Source: Conover (1999), Practical nonparametric statistics, sec. 3.2.
+    """
+    values = np.sort(np.asarray(values, np.float64))
+    if len(values) == 0:
+        return math.nan, -math.inf, math.inf
+    outside, tail = 0, 1.0 / 2 ** len(values)  # how many values are left out on each side, and how likely that fails
+    while tail <= 0.025:
+        outside += 1
+        tail += math.comb(len(values), outside) / 2 ** len(values)
+    low, high = (values[outside - 1], values[-outside]) if outside else (-math.inf, math.inf)
+    return float(np.median(values)), float(low), float(high)
+
+
 def quantiles_by(
     bins: Float[np.ndarray, "N"], values: Float[np.ndarray, "N"], edges: Sequence[float]
 ) -> list[dict[str, float]]:

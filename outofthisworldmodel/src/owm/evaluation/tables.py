@@ -8,7 +8,7 @@ from owm.evaluation.calibration import Calibration
 from owm.evaluation.flights import TOLERANCES, Flights, join, score, succeeded
 from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.report import Table
-from owm.evaluation.statistics import Pairs, holm, rate, seeded_rate
+from owm.evaluation.statistics import Pairs, holm, median_interval, rate, seeded_rate
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 INTERVALS = "brackets: 95 % Wilson intervals"
@@ -194,30 +194,38 @@ def condition_table(
     return Table(["policy", *conditions], rows, caption)
 
 
-def pace_table(cells: Mapping[tuple[str, str], Sequence[Flights]]) -> Table:
-    """How quick and how thrifty each policy (rows) is under each condition (columns).
+def pace_table(cells: Mapping[tuple[str, str], Sequence[Flights]], against: str | None = None) -> Table:
+    """Median time of each policy (rows) under each condition (columns), and how much sooner it is than another.
 
     Args:
         cells: flights of each trained seed by policy and condition.
+        against: a policy of them, compared start by start.
     """
     policies, conditions = (list(dict.fromkeys(key[i] for key in cells)) for i in (0, 1))
-    rows = []
-    for policy in policies:
-        known = [cells.get((policy, condition), ()) for condition in conditions]
-        scores = [score(join(seeds)) if seeds else None for seeds in known]
-        rows.append(
-            [
-                policy,
-                *(
-                    f"{_number(each['median_time'], '{:.0f} s')}, {_number(each['median_delta_v'], '{:.1f} m/s')}"
-                    if each
-                    else "–"
-                    for each in scores
-                ),
-            ]
-        )
-    caption = "Median time and Δv of the flights within 1 m with no collision."
-    return Table(["policy", *conditions], rows, caption)
+
+    def cell(policy: str, condition: str) -> str:
+        if (policy, condition) not in cells:
+            return "–"
+        first = cells[policy, condition]
+        text = _number(score(join(first))["median_time"], "{:.0f}")
+        if against in (None, policy) or (against, condition) not in cells:
+            return text
+        later = _docking_times(first[0]), _docking_times(cells[against, condition][0])
+        common = sorted(later[0].keys() & later[1].keys())
+        middle, low, high = median_interval(np.array([later[0][start] - later[1][start] for start in common]))
+        return f"{text}; {middle:+.1f} [{low:+.1f}, {high:+.1f}]" if np.isfinite(low) else text
+
+    caption = "Median time of the flights within 1 m with no collision, s"
+    if against is not None:
+        caption += f"; then the median difference from {against} on the starts where both did, with a 95 % interval"
+    rows = [[policy, *(cell(policy, condition) for condition in conditions)] for policy in policies]
+    return Table(["policy", *conditions], rows, f"{caption}.")
+
+
+def _docking_times(flights: Flights) -> dict[str, float]:
+    """Time of each flight within 1 m by the digest of its start."""
+    good = succeeded(flights, 1.0)
+    return dict(zip(flights.digest[good].tolist(), flights.time[good].tolist()))
 
 
 def pairs_table(families: Sequence[tuple[str, Sequence[Pairs]]]) -> Table:
