@@ -3,7 +3,6 @@
 All calls run in JAX's 64-bit mode, whatever the caller's; the state is opaque between calls.
 """
 
-import operator
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +23,7 @@ from owm_envs.params import Params
 from owm_envs.task.events import Outcome
 
 State = tuple[EnvState, ...]
+"""Of each piece of a batch, its keys as words: typed ones put every call on JAX's slow path, under Python's lock."""
 _LEAST_PIECE = 128
 """Slots; below that a second thread costs more than it brings."""
 
@@ -67,7 +67,7 @@ class BatchProgram:
     def next_keys(self, state: State) -> jax.Array:
         """The key (B,) from which each slot's next episode starts."""
         with jax.enable_x64(True):
-            return jnp.concatenate([piece.next_key for piece in state])
+            return jnp.concatenate([typed_keys(piece).next_key for piece in state])
 
     def choose_keys(self, seeded: np.ndarray, seeds: list[int], state: State) -> jax.Array:
         """The key of its seed for each slot that is seeded, that of the next episode for the others."""
@@ -118,12 +118,12 @@ class BatchProgram:
 
     def to_host(self, state: State) -> EnvState:
         """A state of the whole batch as NumPy arrays, which pickle without loss."""
-        return joined([state_to_host(piece) for piece in state])
+        return joined(jax.device_get(state))
 
     def from_host(self, state: EnvState) -> State:
         """The inverse of `to_host`."""
-        cut = [jax.tree.map(operator.itemgetter(part), state) for part in self._slices]
-        return tuple(state_from_host(piece) for piece in cut)
+        with jax.enable_x64(True):
+            return tuple(jax.tree.map(lambda leaf, part=part: jnp.asarray(leaf[part]), state) for part in self._slices)
 
     def _side_by_side(self, call: Callable[[int, slice], tuple], join: bool = True) -> list[Any]:
         """What `call` gives for each piece: the states, then what comes to NumPy, of the whole batch if joined."""
@@ -131,7 +131,7 @@ class BatchProgram:
         def one(k):
             with jax.enable_x64(True):  # of this thread
                 kept, *host = call(k, self._slices[k])
-                return kept, *jax.device_get(host)
+                return kept, *jax.tree.map(np.asarray, host)  # views; `jax.device_get` takes three times as long
 
         others = [workers().submit(one, k) for k in range(1, len(self._slices))]
         state, *host = zip(one(0), *(other.result() for other in others))
@@ -160,26 +160,26 @@ class _Programs:
     def _reset_batch(self, params, keys, ports):
         self.traces["reset"] += 1
         state, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
-        return state, self._seen(params, state, observation)
+        return key_words(state), self._seen(params, state, observation)
 
     def _reset_masked(self, params, state, mask, keys, ports):
         self.traces["reset_where"] += 1
         fresh, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
-        state = select(mask, fresh, state)
-        return state, self._seen(params, state, observation)
+        state = select(mask, fresh, typed_keys(state))
+        return key_words(state), self._seen(params, state, observation)
 
     def _step_batch(self, params, state, actions):
         self.traces["step"] += 1
         had_ended = state.outcome != Outcome.RUNNING
-        state, result = jax.vmap(self.env.step, (None, 0, 0))(params, state, actions)
+        state, result = jax.vmap(self.env.step, (None, 0, 0))(params, typed_keys(state), actions)
         earned = self.of_earned.pack((result.reward, result.terminated, result.truncated, had_ended))
-        return state, self._seen(params, state, result.observation), earned
+        return key_words(state), self._seen(params, state, result.observation), earned
 
     def _restart_batch(self, params, state, due):
         self.traces["restart"] += 1
         observation = jnp.zeros((due.shape[0], self.env.layout.size), jnp.float32)
-        state, observation = restart_where(self.env, params, due, state, observation)
-        return state, self._seen(params, state, observation)
+        state, observation = restart_where(self.env, params, due, typed_keys(state), observation)
+        return key_words(state), self._seen(params, state, observation)
 
 
 @lru_cache(maxsize=32)
@@ -224,20 +224,26 @@ def select(mask, new, old):
     return jax.tree.map(lambda n, o: jnp.where(jnp.reshape(mask, mask.shape + (1,) * (n.ndim - 1)), n, o), new, old)
 
 
+def key_words(state: EnvState) -> EnvState:
+    """A state with its keys as plain words."""
+    return state._replace(noise_key=jax.random.key_data(state.noise_key), next_key=jax.random.key_data(state.next_key))
+
+
+def typed_keys(state: EnvState) -> EnvState:
+    """The inverse of `key_words`."""
+    return state._replace(
+        noise_key=jax.random.wrap_key_data(state.noise_key, impl="threefry2x32"),
+        next_key=jax.random.wrap_key_data(state.next_key, impl="threefry2x32"),
+    )
+
+
 def state_to_host(state: EnvState) -> Any:
     """A state as NumPy arrays that pickle without loss."""
     with jax.enable_x64(True):
-        state = state._replace(
-            noise_key=jax.random.key_data(state.noise_key), next_key=jax.random.key_data(state.next_key)
-        )
-        return jax.device_get(state)
+        return jax.device_get(key_words(state))
 
 
 def state_from_host(state: Any) -> EnvState:
     """The inverse of `state_to_host`."""
     with jax.enable_x64(True):
-        state = jax.tree.map(jnp.asarray, state)
-        return state._replace(
-            noise_key=jax.random.wrap_key_data(state.noise_key, impl="threefry2x32"),
-            next_key=jax.random.wrap_key_data(state.next_key, impl="threefry2x32"),
-        )
+        return typed_keys(jax.tree.map(jnp.asarray, state))
