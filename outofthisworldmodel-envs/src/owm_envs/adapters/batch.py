@@ -3,7 +3,6 @@
 All calls run in JAX's 64-bit mode, whatever the caller's; the state is opaque between calls.
 """
 
-import operator
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +22,9 @@ from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
 from owm_envs.params import Params
 from owm_envs.task.events import Outcome
 
-State = tuple[EnvState, ...]
+State = tuple[dict[str, jax.Array], ...]
+"""Of each piece of a batch, packed, its keys as words. Each array in or out costs a call a microsecond and more, and a
+typed key JAX's slow path."""
 _LEAST_PIECE = 128
 """Slots; below that a second thread costs more than it brings."""
 
@@ -54,6 +55,8 @@ class BatchProgram:
         pieces = piece_count(num_envs)
         self._slices = [slice(k * num_envs // pieces, (k + 1) * num_envs // pieces) for k in range(pieces)]
         self._programs = _programs(self.env, num_envs // pieces)
+        with jax.enable_x64(True):
+            self._packed = self._programs.pack_params(self.params)
 
     @property
     def traces(self) -> dict[str, int]:
@@ -67,7 +70,7 @@ class BatchProgram:
     def next_keys(self, state: State) -> jax.Array:
         """The key (B,) from which each slot's next episode starts."""
         with jax.enable_x64(True):
-            return jnp.concatenate([piece.next_key for piece in state])
+            return jnp.concatenate([self._programs.unpack_state(piece).next_key for piece in state])
 
     def choose_keys(self, seeded: np.ndarray, seeds: list[int], state: State) -> jax.Array:
         """The key of its seed for each slot that is seeded, that of the next episode for the others."""
@@ -77,21 +80,21 @@ class BatchProgram:
     def reset(self, keys, ports) -> tuple[State, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode in every slot: keys (B,), ports (B,) with -1 for a drawn one."""
         ports = np.asarray(ports, np.int32)
-        state, host = self._side_by_side(lambda k, part: self._programs.reset(self.params, keys[part], ports[part]))
+        state, host = self._side_by_side(lambda k, part: self._programs.reset(self._packed, keys[part], ports[part]))
         return state, *self._programs.of_seen.unpack(host)
 
     def reset_where(self, state: State, mask, keys, ports) -> tuple[State, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode in the slots of `mask` (B,); the observation is meaningful there only."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(
-            lambda k, part: self._programs.reset_where(self.params, state[k], mask[part], keys[part], ports[part])
+            lambda k, part: self._programs.reset_where(self._packed, state[k], mask[part], keys[part], ports[part])
         )
         return state, *self._programs.of_seen.unpack(host)
 
     def step(self, state: State, actions: np.ndarray) -> tuple[State, StepOutput]:
         """Advance every slot by one decision: actions (B, 6)."""
         state, seen, earned = self._side_by_side(
-            lambda k, part: self._programs.step(self.params, state[k], actions[part])
+            lambda k, part: self._programs.step(self._packed, state[k], actions[part])
         )
         reward, terminated, truncated, had_ended = self._programs.of_earned.unpack(earned)
         final = (None, None)
@@ -108,7 +111,7 @@ class BatchProgram:
         """Start the next episode in the slots of `due` (B,), and write what is seen of it over what was."""
 
         def start(k, part):
-            return self._programs.restart(self.params, state[k], due[part]) if due[part].any() else (state[k], None)
+            return self._programs.restart(self._packed, state[k], due[part]) if due[part].any() else (state[k], None)
 
         state, fresh = self._side_by_side(start, join=False)
         for part, matrices in zip(self._slices, fresh):
@@ -118,12 +121,13 @@ class BatchProgram:
 
     def to_host(self, state: State) -> EnvState:
         """A state of the whole batch as NumPy arrays, which pickle without loss."""
-        return joined([state_to_host(piece) for piece in state])
+        return self._programs.of_state.unpack(joined(jax.device_get(state)))
 
     def from_host(self, state: EnvState) -> State:
         """The inverse of `to_host`."""
-        cut = [jax.tree.map(operator.itemgetter(part), state) for part in self._slices]
-        return tuple(state_from_host(piece) for piece in cut)
+        with jax.enable_x64(True):
+            packed = self._programs.of_state.pack(state)
+            return tuple({name: matrix[part] for name, matrix in packed.items()} for part in self._slices)
 
     def _side_by_side(self, call: Callable[[int, slice], tuple], join: bool = True) -> list[Any]:
         """What `call` gives for each piece: the states, then what comes to NumPy, of the whole batch if joined."""
@@ -131,7 +135,7 @@ class BatchProgram:
         def one(k):
             with jax.enable_x64(True):  # of this thread
                 kept, *host = call(k, self._slices[k])
-                return kept, *jax.device_get(host)
+                return kept, *jax.tree.map(np.asarray, host)  # views; `jax.device_get` takes three times as long
 
         others = [workers().submit(one, k) for k in range(1, len(self._slices))]
         state, *host = zip(one(0), *(other.result() for other in others))
@@ -139,7 +143,7 @@ class BatchProgram:
 
 
 class _Programs:
-    """What is compiled once: functions of `params` and the state of a batch.
+    """What is compiled once: functions of the packed params and state of a batch.
 
     Restarting is a program of its own, called when an episode has ended: in the step it would cost every step.
     """
@@ -147,39 +151,60 @@ class _Programs:
     def __init__(self, env: DockingEnv):
         self.env = env
         self.traces = {"reset": 0, "reset_where": 0, "step": 0, "restart": 0}
-        options = compiler_options()
+        # A library's sum or product goes on in another thread: of little use to a single step, and two pieces have
+        # two cores to share.
+        options = compiler_options(libraries=False)
         self.reset = jax.jit(self._reset_batch, compiler_options=options)
         self.reset_where = jax.jit(self._reset_masked, compiler_options=options)
         self.step = jax.jit(self._step_batch, compiler_options=options)
         self.restart = jax.jit(self._restart_batch, compiler_options=options)
-        self.of_seen, self.of_earned = Packing(), Packing()
+        self.of_params, self.of_state, self.of_seen, self.of_earned = (Packing() for _ in range(4))
+
+    def pack_params(self, params: Params) -> dict[str, jax.Array]:
+        """All numbers as one row for each dtype; equal structures have equal shapes."""
+        return self.of_params.pack(jax.tree.map(lambda leaf: leaf[None], params))
+
+    def _unpack_params(self, packed):
+        return jax.tree.map(lambda leaf: leaf[0], self.of_params.unpack(packed))
+
+    def _pack_state(self, state):
+        return self.of_state.pack(key_words(state))
+
+    def unpack_state(self, packed: dict[str, jax.Array]) -> EnvState:
+        """The state of a piece, its keys typed."""
+        return typed_keys(self.of_state.unpack(packed))
 
     def _seen(self, params, state, observation):
         return self.of_seen.pack((observation, jax.vmap(self.env.info, (None, 0))(params, state)))
 
     def _reset_batch(self, params, keys, ports):
         self.traces["reset"] += 1
+        params = self._unpack_params(params)
         state, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
-        return state, self._seen(params, state, observation)
+        return self._pack_state(state), self._seen(params, state, observation)
 
     def _reset_masked(self, params, state, mask, keys, ports):
         self.traces["reset_where"] += 1
+        params = self._unpack_params(params)
         fresh, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
-        state = select(mask, fresh, state)
-        return state, self._seen(params, state, observation)
+        state = select(mask, fresh, self.unpack_state(state))
+        return self._pack_state(state), self._seen(params, state, observation)
 
     def _step_batch(self, params, state, actions):
         self.traces["step"] += 1
+        params = self._unpack_params(params)
+        state = self.unpack_state(state)
         had_ended = state.outcome != Outcome.RUNNING
         state, result = jax.vmap(self.env.step, (None, 0, 0))(params, state, actions)
         earned = self.of_earned.pack((result.reward, result.terminated, result.truncated, had_ended))
-        return state, self._seen(params, state, result.observation), earned
+        return self._pack_state(state), self._seen(params, state, result.observation), earned
 
     def _restart_batch(self, params, state, due):
         self.traces["restart"] += 1
+        params = self._unpack_params(params)
         observation = jnp.zeros((due.shape[0], self.env.layout.size), jnp.float32)
-        state, observation = restart_where(self.env, params, due, state, observation)
-        return state, self._seen(params, state, observation)
+        state, observation = restart_where(self.env, params, due, self.unpack_state(state), observation)
+        return self._pack_state(state), self._seen(params, state, observation)
 
 
 @lru_cache(maxsize=32)
@@ -224,20 +249,26 @@ def select(mask, new, old):
     return jax.tree.map(lambda n, o: jnp.where(jnp.reshape(mask, mask.shape + (1,) * (n.ndim - 1)), n, o), new, old)
 
 
+def key_words(state: EnvState) -> EnvState:
+    """A state with its keys as plain words."""
+    return state._replace(noise_key=jax.random.key_data(state.noise_key), next_key=jax.random.key_data(state.next_key))
+
+
+def typed_keys(state: EnvState) -> EnvState:
+    """The inverse of `key_words`."""
+    return state._replace(
+        noise_key=jax.random.wrap_key_data(state.noise_key, impl="threefry2x32"),
+        next_key=jax.random.wrap_key_data(state.next_key, impl="threefry2x32"),
+    )
+
+
 def state_to_host(state: EnvState) -> Any:
     """A state as NumPy arrays that pickle without loss."""
     with jax.enable_x64(True):
-        state = state._replace(
-            noise_key=jax.random.key_data(state.noise_key), next_key=jax.random.key_data(state.next_key)
-        )
-        return jax.device_get(state)
+        return jax.device_get(key_words(state))
 
 
 def state_from_host(state: Any) -> EnvState:
     """The inverse of `state_to_host`."""
     with jax.enable_x64(True):
-        state = jax.tree.map(jnp.asarray, state)
-        return state._replace(
-            noise_key=jax.random.wrap_key_data(state.noise_key, impl="threefry2x32"),
-            next_key=jax.random.wrap_key_data(state.next_key, impl="threefry2x32"),
-        )
+        return typed_keys(jax.tree.map(jnp.asarray, state))
