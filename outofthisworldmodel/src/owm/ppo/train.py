@@ -215,7 +215,7 @@ def _write_curve(lines: list[dict[str, Any]], out: Path) -> None:
     from owm.evaluation.plots import save_figure
 
     def write(file) -> None:
-        rows = csv.DictWriter(file, _CURVE, extrasaction="ignore", restval="")
+        rows = csv.DictWriter(file, _CURVE, extrasaction="ignore", restval="", lineterminator="\n")
         rows.writeheader()
         rows.writerows(lines)
 
