@@ -57,7 +57,7 @@ def test_output_that_cannot_hold_a_letter_does_without_it():
 def test_a_loss_that_diverges_is_told_in_one_line(monkeypatch, tmp_path, capfd):
     import owm.commands
 
-    def diverge(data, out, config):
+    def diverge(*arguments):
         raise FloatingPointError("the loss is not finite at step 50; lower learning_rate")
 
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
@@ -104,10 +104,12 @@ def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
 
     seen = []
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(owm.commands, "train", lambda data, out, config: seen.append((data, out, config)))
-    cli.main(["train", "--data", "d", "e", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64"])
-    data, _, config = seen[0]
-    assert data == (Path("d"), Path("e"))
+    monkeypatch.setattr(owm.commands, "train", lambda *arguments: seen.append(arguments))
+    cli.main(
+        ["train", "--data", "d", "e", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64", "--wandb", "p"]
+    )
+    data, _, config, project = seen[0]
+    assert data == (Path("d"), Path("e")) and project == "p"
     assert (config.steps, config.batch, config.model.width) == (400, 7, 64)
 
 
