@@ -1,6 +1,5 @@
 """Draw the README's pictures from a finished demo: `python docs/images/make.py [runs/demo]`."""
 
-import shutil
 import sys
 from pathlib import Path
 
@@ -28,7 +27,5 @@ lines = [
 ]
 picture = draw_schematic(hull_boxes(), goal_poses(), path[shown], path[: shown + 1, :3], port, lines, size=(1280, 720))
 cv2.imwrite(str(here / "approach.png"), picture[..., ::-1])
-shutil.copy(demo / "figures" / "trajectories_world_model.png", here / "trajectories.png")
-shutil.copy(demo / "figures" / "prediction.png", here / "prediction.png")
 station = draw_station((1120, 700))
 cv2.imwrite(str(here / "station.png"), station[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
