@@ -116,7 +116,7 @@ def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
     """It runs in the 64-bit mode, the functional interface here outside it."""
     env, options = DockingEnv(precision="float32", **PLAIN), quick.keywords["compiler_options"]
     params = env.default_params()
-    monkeypatch.setattr(batch, "compiler_options", lambda: options)
+    monkeypatch.setattr(batch, "compiler_options", lambda **_: options)
     adapter = DockingVectorEnv(2, precision="float32", autoreset_mode="disabled", **PLAIN)
     first, info = adapter.reset(seed=40)
     assert info["true_state"].dtype == np.float32
