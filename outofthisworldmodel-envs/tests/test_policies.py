@@ -1,3 +1,5 @@
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -149,6 +151,12 @@ def test_actions_are_in_the_layout_of_a_normalised_environment(name, env, polici
     action, _ = policy.act(policy.init(key, port), observations[1])
     assert action.dtype == jnp.float32
     np.testing.assert_allclose(action * np.array([1600.0] * 3 + [2000.0] * 3), plain, rtol=1e-4, atol=0.05)
+
+
+def test_no_policy_can_be_taken_for_another(policies):
+    """By a cache of compiled programs, which compares structures."""
+    structures = [jax.tree.structure(policy) for policy in policies.values()]
+    assert all(a != b for a, b in itertools.combinations(structures, 2))
 
 
 def _observations(env, count):

@@ -1,7 +1,7 @@
 """Policies that follow the geodesic cost-to-go around the hull: they are given the station's map."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ class DockGeodesicPolicy:
     rows: Int[Array, "8"]
     """Its row of each port, -1 where it has none: there the action is not finite, which ends the episode."""
     layout: ObservationLayout = field(metadata=_STATIC)
-    name: ClassVar[str] = "dock-geodesic"
+    name: str = field(default="dock-geodesic", metadata=_STATIC)
 
     def init(self, key, port):
         """State: the port."""
@@ -94,7 +94,7 @@ class DockGeodesicIntegralPolicy(DockGeodesicPolicy):
     leaks with a time constant of 60 s wherever the chaser is, and it is held to 0.3 of what the thrusters can do.
     """
 
-    name: ClassVar[str] = "dock-geodesic-integral"
+    name: str = field(default="dock-geodesic-integral", metadata=_STATIC)
 
     def init(self, key, port):
         """State: nothing added up."""

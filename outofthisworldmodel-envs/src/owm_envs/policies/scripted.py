@@ -4,7 +4,7 @@ A policy sees the observation, its own state and the port it was assigned; never
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,8 @@ class ScriptedPolicy(Protocol):
     """A policy for one episode: pure, and a pytree of numbers; the caller vmaps."""
 
     name: str
+    """A static field: JAX (0.10.2) takes dataclasses of different classes with equal fields for the same structure, and
+    now and then runs the program that it compiled for one with the other."""
 
     def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> Any:
         """The state in which an episode to dock at `port` begins."""
@@ -116,7 +118,7 @@ class RandomPolicy:
 
     vehicle: Vehicle
     layout: ObservationLayout = field(metadata=_STATIC)
-    name: ClassVar[str] = "random"
+    name: str = field(default="random", metadata=_STATIC)
 
     def init(self, key, port):
         """State: the key of the next draw."""
@@ -152,7 +154,7 @@ class ExcitePolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     hold: int = field(metadata=_STATIC)
     """Decisions between draws."""
-    name: ClassVar[str] = "excite"
+    name: str = field(default="excite", metadata=_STATIC)
 
     def init(self, key, port):
         """State: no wrench yet, this episode's amplitudes."""
@@ -199,7 +201,7 @@ class OrbitPolicy:
 
     vehicle: Vehicle
     layout: ObservationLayout = field(metadata=_STATIC)
-    name: ClassVar[str] = "orbit"
+    name: str = field(default="orbit", metadata=_STATIC)
 
     def init(self, key, port):
         """Draw the circle."""
@@ -247,7 +249,7 @@ class DockPolicy:
 
     vehicle: Vehicle
     layout: ObservationLayout = field(metadata=_STATIC)
-    name: ClassVar[str] = "dock"
+    name: str = field(default="dock", metadata=_STATIC)
 
     def init(self, key, port):
         """State: the port."""

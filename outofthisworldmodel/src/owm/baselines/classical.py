@@ -1,7 +1,7 @@
 """The classical stack: an extended Kalman filter, a route without a map of the hull, and model-predictive control."""
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -99,7 +99,7 @@ class ClassicalPolicy:
     """Of the filter."""
     ekf: ErrorStateEKF = field(metadata=_STATIC)
     layout: ObservationLayout = field(metadata=_STATIC)
-    name: ClassVar[str] = "ekf-mpc"
+    name: str = field(default="ekf-mpc", metadata=_STATIC)
 
     def init(self, key, port):
         """State: nothing measured."""
