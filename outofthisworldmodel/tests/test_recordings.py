@@ -23,7 +23,7 @@ def corpora(tmp_path_factory):
 
 def test_every_policy_is_judged_on_flights_set_aside(corpora):
     train, val = training_episodes(corpora[0], phases=1)
-    recorded = Counter(episode.policy_name for episode in recordings.read_recordings(corpora[0], "train"))
+    recorded = Counter(recording.policy for recording in recordings.read_recordings(corpora[0], "train"))
     aside = {name: count - Counter(train.policies)[name] for name, count in recorded.items()}
     assert recorded["excite"] >= 8
     assert aside == {name: count // 8 if count >= 8 else int(count >= 3) for name, count in recorded.items()}
@@ -40,6 +40,18 @@ def test_several_corpora_are_pooled_and_no_window_crosses_from_one_to_the_other(
     assert len(rows) == len(one.starts(9)) + len(other.starts(9))
     np.testing.assert_array_equal(both.episode[rows], both.episode[rows + 8])
     np.testing.assert_array_equal(both.observation, np.concatenate([one.observation, other.observation]))
+
+
+def test_a_recording_of_actions_held_for_a_step_is_taken_as_it_is(tmp_path):
+    config = load_config(fidelity="iss", noise="none", horizon=8.0, steps_per_action=5)
+    generate(tmp_path / "held", config, Request(300, 60, 2, 0.5, 24))
+    recorded = recordings.read_recordings(tmp_path / "held", "train")
+    assert {recording.stride for recording in recorded} == {1}
+    episodes = recordings.at_model_rate(recorded, phases=5)
+    assert episodes.dt == 0.25 and episodes.steps == sum(len(recording.action) for recording in recorded)
+    first = episodes.track == 0
+    np.testing.assert_allclose(episodes.observation[first][:, :6], recorded[0].state[:, :6], rtol=1e-6)
+    np.testing.assert_allclose(episodes.action[first][:-1], recorded[0].action, rtol=1e-6)
 
 
 def test_a_corpus_tells_its_facts(corpora, tmp_path):

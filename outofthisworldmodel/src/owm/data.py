@@ -1,6 +1,7 @@
 """Recorded episodes as windows for training and scoring, in memory.
 
 Recordings run at 20 Hz, the model steps at 4 Hz: every fifth measurement, and the mean of the five actions between.
+Those of actions held as long as that may run at 4 Hz themselves.
 """
 
 from collections.abc import Collection, Iterable
@@ -65,6 +66,11 @@ class Episodes:
         """How many transitions the tracks hold."""
         return len(self.track) - len(np.unique(self.track))
 
+    @property
+    def longest(self) -> int:
+        """Views in the longest track."""
+        return int(np.bincount(self.track).max())
+
     def digest(self) -> str:
         """Return a fingerprint of the numbers."""
         sha = sha256()
@@ -98,7 +104,7 @@ class Episodes:
         first = np.arange(max(rows - length + 1, 0))
         first = first[self.track[first] == self.track[first + length - 1]].astype(np.int32)
         if check and len(first) == 0:
-            longest = int(np.bincount(self.track).max()) if rows else 0
+            longest = self.longest if rows else 0
             raise ValueError(f"no window of {length} views fits: the longest episode has {longest} at {self.dt} s")
         return first
 
@@ -114,13 +120,14 @@ class Episodes:
 
 
 def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "float32") -> Episodes:
-    """Resample recorded 20 Hz episodes to the model's rate.
+    """Resample recorded episodes to the model's rate.
 
     Args:
         episodes: objects with `state` (T + 1, 13) measured views and `action` (T, 6), or (T + 1, 6) whose last, padded
-            row is dropped; optionally `true_state` (T + 1, 13), `policy` and `port`.
-        phases: 1 to 5; at how many offsets the five-frame grid starts. Every phase is a further track with noise and
-            action means of its own.
+            row is dropped; optionally `true_state` (T + 1, 13), `policy`, `port`, and `stride`, the frames in one step
+            of the model, `STRIDE` unless given.
+        phases: 1 to 5; at how many offsets the grid starts, of as many frames as are in a step. Every phase is a
+            further track with noise and action means of its own.
         dtype: of the stored arrays.
 
     Raises:
@@ -145,12 +152,13 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
             raise ValueError(f"episode {number}: state, true_state and action must be finite")
         policies.append(str(getattr(episode, "policy", "")))
         ports.append(str(getattr(episode, "port", "")))
-        for phase in range(phases):
-            steps = (len(act) - phase) // STRIDE
+        stride = getattr(episode, "stride", STRIDE)
+        for phase in range(min(phases, stride)):
+            steps = (len(act) - phase) // stride
             if steps < 1:
                 continue
-            rows = phase + STRIDE * np.arange(steps + 1)
-            mean = act[phase : phase + STRIDE * steps].reshape(steps, STRIDE, 6).mean(axis=1)
+            rows = phase + stride * np.arange(steps + 1)
+            mean = act[phase : phase + stride * steps].reshape(steps, stride, 6).mean(axis=1)
             observation.append(_continuous(seen[rows]).astype(dtype))
             truth.append(_continuous(true[rows]).astype(dtype))
             action.append(np.concatenate([mean, np.zeros((1, 6))]).astype(dtype))

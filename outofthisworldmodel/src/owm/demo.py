@@ -20,7 +20,7 @@ from owm.evaluation.prediction import QUANTITIES, PredictionError
 from owm.evaluation.tables import docking_table
 from owm.files import slug, write_atomically
 from owm.planning.config import PlannerConfig
-from owm.recordings import at_model_rate, corpus_facts, training_episodes
+from owm.recordings import at_model_rate, corpus_facts, recorded, training_episodes
 from owm.stages import Stages, peak_memory, source_digest
 from owm.training.config import PRESETS, TrainConfig
 from owm_envs.config import DockingConfig, load_config
@@ -231,8 +231,8 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
             progress=lambda done, running: update(done, round(config.horizon / config.dt), f"{running} flying"),
         )
     groups = {
-        ON_POLICY: at_model_rate([e for e in flown if e.policy_name != "excite"]),
-        PLANNER_STYLE: at_model_rate([e for e in flown if e.policy_name == "excite"]),
+        ON_POLICY: at_model_rate([recorded(e) for e in flown if e.policy_name != "excite"]),
+        PLANNER_STYLE: at_model_rate([recorded(e) for e in flown if e.policy_name == "excite"]),
     }
     models = [
         load_world_model(out / "train" / "model"),

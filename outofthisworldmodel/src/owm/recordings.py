@@ -6,8 +6,10 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
 
 from owm.data import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.reader import dataset_folder, read, read_info
@@ -15,27 +17,51 @@ from owm_envs.datasets.schema import Episode
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
 RATE = 20
-"""Frames a second that a dataset must have."""
+"""Frames a second that a dataset has, or every `STRIDE`-th of them: actions held for a step of the model."""
 
 
-def read_recordings(path: str | os.PathLike, split: str) -> list[Episode]:
-    """Read a split of a 20 Hz dataset.
+class Recording(NamedTuple):
+    """One flight as `from_episodes` takes it; `stride` frames are a step of the model."""
+
+    state: Float[np.ndarray, "T+1 13"]
+    true_state: Float[np.ndarray, "T+1 13"]
+    action: Float[np.ndarray, "T 6"]
+    policy: str
+    port: str
+    stride: int
+
+
+def recorded(episode: Episode, stride: int = STRIDE) -> Recording:
+    """Return a flight as training takes it."""
+    return Recording(
+        episode.observation,
+        episode.true_state,
+        episode.action,
+        episode.policy_name,
+        PORT_NAMES[episode.port],
+        stride,
+    )
+
+
+def read_recordings(path: str | os.PathLike, split: str) -> list[Recording]:
+    """Read a split of a dataset of 20 Hz, or of the model's rate.
 
     Raises:
         FileNotFoundError: there is no such dataset or split.
         ValueError: the dataset is damaged, or recorded at another rate.
     """
     folder = dataset_folder(path, split)
-    rate = read_info(folder).get("fps")
-    if rate is not None and abs(float(rate) - RATE) > 1e-6:
+    rate = read_info(folder).get("fps", RATE)
+    strides = {RATE: STRIDE, RATE // STRIDE: 1}
+    if rate not in strides:
         raise ValueError(
             f"{folder} holds {rate:g} frames a second; the model steps over {STRIDE} frames of a {RATE} Hz "
-            "recording: generate it with steps_per_action=1"
+            f"recording, or one of {RATE // STRIDE} Hz: generate it with steps_per_action=1 or {STRIDE}"
         )
-    return read(path, split)
+    return [recorded(episode, strides[rate]) for episode in read(path, split)]
 
 
-def at_model_rate(recordings: Iterable[Episode], *, ports: Sequence[str] | None = None, phases: int = 1) -> Episodes:
+def at_model_rate(recordings: Iterable[Recording], *, ports: Sequence[str] | None = None, phases: int = 1) -> Episodes:
     """Resample recordings to the model's rate.
 
     Args:
@@ -45,18 +71,7 @@ def at_model_rate(recordings: Iterable[Episode], *, ports: Sequence[str] | None 
     Raises:
         ValueError: nothing is left, or no episode is long enough.
     """
-    kept = [
-        SimpleNamespace(
-            state=episode.observation,
-            true_state=episode.true_state,
-            action=episode.action,
-            policy=episode.policy_name,
-            port=PORT_NAMES[episode.port],
-        )
-        for episode in recordings
-        if ports is None or PORT_NAMES[episode.port] in ports
-    ]
-    return from_episodes(kept, phases=phases)
+    return from_episodes((r for r in recordings if ports is None or r.port in ports), phases=phases)
 
 
 def training_episodes(
@@ -68,7 +83,7 @@ def training_episodes(
     three to seven), so that each behaviour, the planner-style one too, is judged on flights not trained on.
 
     Args:
-        paths: one or several 20 Hz datasets with the splits train and val; several are pooled.
+        paths: one or several datasets with the splits train and val; several are pooled.
         phases: offsets of the model's grid in the recording to train on, as `from_episodes` takes it.
 
     Raises:
@@ -77,12 +92,12 @@ def training_episodes(
     kept, judged = [], []
     for path in [paths] if isinstance(paths, str | os.PathLike) else paths:
         train = read_recordings(path, "train")
-        total, seen = Counter(episode.policy for episode in train), Counter()
-        for episode in train:
-            flights, number = total[episode.policy], seen[episode.policy]
+        total, seen = Counter(recording.policy for recording in train), Counter()
+        for recording in train:
+            flights, number = total[recording.policy], seen[recording.policy]
             aside = flights >= 3 and number % 8 == min(flights, 8) - 1
-            (judged if aside else kept).append(episode)
-            seen[episode.policy] += 1
+            (judged if aside else kept).append(recording)
+            seen[recording.policy] += 1
         judged += read_recordings(path, "val")
     return at_model_rate(kept, phases=phases), at_model_rate(judged, ports=TRAIN_PORTS)
 

@@ -10,8 +10,9 @@ class ModelConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    stream: Literal["kinematic", "latent"] = "kinematic"
-    """How observations become tokens and tokens become predictions: on rigid-body kinematics, or all learned."""
+    stream: Literal["kinematic", "adaptive", "latent"] = "kinematic"
+    """How observations become tokens and tokens become predictions: on rigid-body kinematics, on those of a
+    vehicle found in its history, or all learned."""
     skip: Literal["bilinear", "learned", "none"] = "bilinear"
     """What the latent stream adds to the network's prediction: a least-squares map of its features, a quadratic layer
     trained like all other weights, or nothing."""

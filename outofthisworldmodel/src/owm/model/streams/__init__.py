@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from owm.data import Episodes
 from owm.model.config import ModelConfig
+from owm.model.streams.adaptive import AdaptiveStream
 from owm.model.streams.kinematic import KinematicStream
 from owm.model.streams.latent import LatentStream
 
@@ -89,5 +90,5 @@ class Stream(Protocol):
         """Compare the carry of a measured view with that view: what encoder and decoder lose between them."""
 
 
-STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream, "latent": LatentStream}
+STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream, "adaptive": AdaptiveStream, "latent": LatentStream}
 """Streams by the name that `ModelConfig.stream` gives."""
