@@ -51,7 +51,7 @@ def read_recordings(path: str | os.PathLike, split: str) -> list[Recording]:
         ValueError: the dataset is damaged, or recorded at another rate.
     """
     folder = dataset_folder(path, split)
-    rate = read_info(folder).get("fps", RATE)
+    rate = read_info(folder).get("fps") or RATE
     strides = {RATE: STRIDE, RATE // STRIDE: 1}
     if rate not in strides:
         raise ValueError(

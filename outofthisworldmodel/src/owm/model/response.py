@@ -277,7 +277,7 @@ def fit_vehicles(episodes: Episodes, linear: LinearMap) -> VehicleStatistics:
 
 def _windows(episodes: Episodes) -> tuple[Float[Array, "N V 13"], Float[Array, "N V-1 6"]]:
     """Return observations and actions of evenly spread windows, shorter than wanted if no episode is so long."""
-    views = min(FIT_VIEWS, int(np.bincount(episodes.track).max()))
+    views = min(FIT_VIEWS, episodes.longest)
     starts = episodes.starts(views)
     rows = starts[:: -(-len(starts) // FIT_WINDOWS)][:, None] + np.arange(views)
     return jnp.asarray(episodes.observation[rows]), jnp.asarray(episodes.action[rows[:, :-1]])

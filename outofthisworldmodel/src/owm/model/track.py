@@ -170,7 +170,7 @@ def fit_filter(episodes: Episodes, linear: LinearMap) -> FilterStatistics:
     The score is the mean over windows of the logarithm of the mean square innovation: windows count alike whatever
     their noise.
     """
-    views = min(FIT_VIEWS, int(np.bincount(episodes.track).max()))
+    views = min(FIT_VIEWS, episodes.longest)
     starts = episodes.starts(views)
     rows = starts[:: -(-len(starts) // FIT_WINDOWS)][:, None] + np.arange(views)
     observation, action = jnp.asarray(episodes.observation[rows]), jnp.asarray(episodes.action[rows[:, :-1]])

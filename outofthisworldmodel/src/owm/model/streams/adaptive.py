@@ -5,7 +5,6 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from owm.data import Episodes
 from owm.model.kinematics import advance
 from owm.model.response import (
     Track,
@@ -32,11 +31,7 @@ class AdaptiveStream(KinematicStream):
 
     features: ClassVar[int] = 47
 
-    @staticmethod
-    def fit(episodes: Episodes) -> Statistics:
-        """Measure the statistics on training episodes."""
-        statistics = KinematicStream.fit(episodes)
-        return statistics._replace(filter=fit_vehicles(episodes, statistics.linear))
+    fit_filter = staticmethod(fit_vehicles)
 
     @staticmethod
     def skeleton(dtype: jnp.dtype) -> Statistics:

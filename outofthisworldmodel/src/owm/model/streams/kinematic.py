@@ -78,8 +78,10 @@ class KinematicStream(eqx.Module):
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
         self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
 
-    @staticmethod
-    def fit(episodes: Episodes) -> Statistics:
+    fit_filter = staticmethod(fit_filter)
+
+    @classmethod
+    def fit(cls, episodes: Episodes) -> Statistics:
         """Measure the statistics on training episodes."""
         linear = fit_linear_map(episodes)
 
@@ -90,7 +92,7 @@ class KinematicStream(eqx.Module):
         view = episodes.observation
         return Statistics(
             linear,
-            fit_filter(episodes, linear),
+            cls.fit_filter(episodes, linear),
             size(episodes.action, 0),
             size(view[:, :3]),
             size(view[:, 3:6]),
