@@ -141,7 +141,7 @@ def test_touching_costs_more_the_earlier_and_ends_the_candidate():
     assert _cost((23, 0, 0))[1] < 0 < _cost((10, 0, 0))[1]
 
     def cost(views, starts_clear=True):
-        given = (TUNING.weights, small_field(), np.int32(0), GOAL, starts_clear)
+        given = (TUNING.weights, small_field(), np.int32(0), GOAL, starts_clear, np.float32(np.inf))
         return float(sequence_cost("geodesic", *given, np.stack(views), np.zeros((4, 6), np.float32)))
 
     early, late, never = cost([inside] * 4), cost([clear] * 3 + [inside]), cost([clear] * 4)
@@ -182,18 +182,47 @@ def test_corrector_leaves_noise_alone_and_finds_what_stands_out_of_it():
     np.testing.assert_allclose(loud.acceleration[20:].mean(axis=0), [0.06, -0.03, 0], atol=6e-3)
 
 
-def test_the_coasting_wrench_cancels_a_steady_acceleration():
-    view = view_at((0, -15, 3))
+@pytest.mark.parametrize("kind", ["geodesic", "straight", "plain"])
+def test_a_speed_that_cannot_be_braked_is_charged(kind):
+    def cost(speed, able):
+        view = view_at((0, -12, 0))
+        view[4] = speed
+        given = (TUNING.weights, small_field(), np.int32(0), GOAL, True, np.float32(able))
+        return float(sequence_cost(kind, *given, view[None], np.zeros((1, 6), np.float32)))
+
+    braked, unbraked = (cost(2.0, able) - cost(2.0, np.inf) for able in (0.2, 0.06))  # over 12 m: 2.19 and 1.2 m/s
+    assert braked == 0.0
+    assert unbraked == (0.0 if kind == "plain" else pytest.approx(10.0 * (2.0 - (2 * 0.06 * 12) ** 0.5) ** 2, rel=0.05))
+
+
+def flown_candidates(late=0):
+    """Candidates, and the views from which and to which a steadily biased vehicle flies their first chunk."""
     candidates = mppi.sample_candidates(
         CONFIG.shape, TUNING.sigma, jnp.zeros((64, 6), jnp.float32), key=jax.random.key(0)
     )
-    after = move(BIAS, jnp.broadcast_to(view, (128, 13)), candidates[:, 0] * TUNING.limit)
-    wrench = TUNING.limit * mppi.coasting_wrench(candidates[:, 0], jnp.broadcast_to(view, (128, 13)), after)
-    still = move(BIAS, view[None], wrench[None])[0]
-    np.testing.assert_allclose(still[3:6], view[3:6], atol=2e-5)
-    np.testing.assert_allclose(still[10:], view[10:], atol=1e-7)
-    unmoved = mppi.coasting_wrench(candidates[:, 0], after[:1], jnp.broadcast_to(after[:1], (128, 13)))
-    np.testing.assert_array_equal(unmoved, 0.0)
+    view = before = jnp.broadcast_to(view_at((0, -15, 3)), (128, 13))
+    for step in range(CONFIG.chunk):
+        view = move(BIAS, view, candidates[:, max(step - late, 0)] * TUNING.limit)
+    return candidates[:, : CONFIG.chunk], before, view, CONFIG.chunk * FreeBody.dt
+
+
+def test_the_coasting_wrench_cancels_a_steady_acceleration():
+    flown = flown_candidates()
+    view = flown[1]
+    wrench = TUNING.limit * mppi.coasting_wrench(mppi.effect_of(*flown))
+    still = move(BIAS, view[:1], wrench[None])[0]
+    np.testing.assert_allclose(still[3:6], view[0, 3:6], atol=2e-5)
+    np.testing.assert_allclose(still[10:], view[0, 10:], atol=1e-7)
+    unmoved = mppi.effect_of(flown[0], view, view, 2.0)
+    np.testing.assert_array_equal(mppi.coasting_wrench(unmoved), 0.0)
+    assert mppi.authority(unmoved) == np.inf
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_the_authority_is_the_thrust_over_the_mass(late):
+    """Also where thrusters answer a step late, of which a single step would show nothing."""
+    able = float(mppi.authority(mppi.effect_of(*flown_candidates(late))))
+    assert able == pytest.approx(1600.0 / 12_000.0, rel=0.01 if not late else 0.15)
 
 
 def replan(view, seed=0, params=NO_BIAS):

@@ -41,6 +41,7 @@ class Weights(NamedTuple):
     top_rate: Float[Array, ""]
     rate_braking: Float[Array, ""]
     turning_time: Float[Array, ""]
+    stopping: Float[Array, ""]
 
 
 class Tuning(NamedTuple):
@@ -145,6 +146,9 @@ class PlannerConfig(BaseModel):
     turning_time: PositiveFloat = 5.0
     """s."""
 
+    stopping: NonNegative = 10.0
+    """Weight of the squared speed at the horizon's end beyond what can be braked to rest over the distance that is left
+    then, by the acceleration that the model gives the thrusters in any direction, s2/m2; not when plain."""
     corrector: bool = True
     """Make what the model keeps getting wrong over its chunks additive accelerations and a drift."""
     gain: Fraction = 0.4

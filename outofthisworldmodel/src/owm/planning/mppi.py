@@ -5,6 +5,7 @@ parallel computation, J. Guidance, Control, and Dynamics 40(2); candidates, hori
 execution as in the paper that this package follows.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -69,28 +70,59 @@ def rollout(model: WorldModel, params: PyTree, state: Any, wrenches: Float[Array
     return jax.lax.scan(advance, state, wrenches)[1]
 
 
-def coasting_wrench(
-    actions: Float[Array, "K 6"], before: Float[Array, "K 13"], after: Float[Array, "K 13"]
-) -> Float[Array, "6"]:
-    """Estimate the wrench under which velocity and rate stay as they are, from candidates that already flew.
+class Effect(NamedTuple):
+    """What actions do over some steps, as candidates that already flew tell.
 
-    A least-squares fit of the actions of one step to the changes over it, read off where nothing changes. In free
-    space the answer is zero; under a steady acceleration, known to the model or found by the corrector, it is what
-    cancels it. A warm start continued by zeros instead settles some 0.1 m off the goal for each 0.01 m/s2.
+    Attributes:
+        action: mean over candidates and steps, fractions of the limits.
+        change: mean over candidates of the changes of velocity (m/s, station frame) and rate (rad/s).
+        slope: actions that make one of these larger by one.
+        elapsed: s.
+    """
+
+    action: Float[Array, "6"]
+    change: Float[Array, "6"]
+    slope: Float[Array, "6 6"]
+    elapsed: float
+
+
+def effect_of(
+    actions: Float[Array, "K T 6"], before: Float[Array, "K 13"], after: Float[Array, "K 13"], elapsed: float
+) -> Effect:
+    """Fit, by least squares, the actions of some steps to the changes over them.
+
+    Over several steps it also finds what thrusters do that answer late.
 
     Args:
         actions: fractions of the limits, spread by the planner's noise.
-        before, after: predicted views around that step.
+        before, after: predicted views around those steps, `elapsed` seconds apart.
     """
+    action = jnp.mean(actions, axis=1)
     changes = (after - before)[:, np.array([3, 4, 5, 10, 11, 12])]
-    mean_change, mean_action = jnp.mean(changes, axis=0), jnp.mean(actions, axis=0)
+    mean_change, mean_action = jnp.mean(changes, axis=0), jnp.mean(action, axis=0)
     scale = jnp.std(changes, axis=0)  # m/s and rad/s differ by orders of magnitude
     spread = (changes - mean_change) / scale
     ridge = 1e-6 * len(actions) * jnp.eye(6, dtype=changes.dtype)
-    slope = jnp.linalg.solve(spread.T @ spread + ridge, spread.T @ (actions - mean_action))
-    wrench = mean_action - (mean_change / scale) @ slope
+    slope = jnp.linalg.solve(spread.T @ spread + ridge, spread.T @ (action - mean_action))
+    return Effect(mean_action, mean_change, slope / scale[:, None], elapsed)
+
+
+def coasting_wrench(effect: Effect) -> Float[Array, "6"]:
+    """Return the wrench, in fractions of the limits, under which velocity and rate stay as they are.
+
+    In free space it is zero; under a steady acceleration, known to the model or found by the corrector, it is what
+    cancels it. A warm start continued by zeros instead settles some 0.1 m off the goal for each 0.01 m/s2.
+    """
+    wrench = effect.action - effect.change @ effect.slope
     # A model that heeds no action has no such wrench.
     return jnp.clip(jnp.where(jnp.all(jnp.isfinite(wrench)), wrench, 0), -1, 1)
+
+
+def authority(effect: Effect) -> Float[Array, ""]:
+    """Return the acceleration, m/s2, that the limits allow in whatever direction; infinite if no action is heeded."""
+    largest = jnp.max(jnp.sum(effect.slope[:3] ** 2, axis=0))
+    able = 1.0 / (effect.elapsed * jnp.sqrt(largest))
+    return jnp.where(jnp.isfinite(able), able, jnp.inf)
 
 
 def plan(
@@ -144,16 +176,17 @@ def plan(
     elapsed = model.dt * (shape.latency + jnp.arange(1, shape.horizon + 1, dtype=dtype))
     views = jax.vmap(jax.vmap(apply, (None, 0, 0)), (None, 0, None))(corrector.correction, views, elapsed)
     clear = clearance(field, measured[:3]) >= 0
-    costs = jax.vmap(lambda v, u: sequence_cost(shape.objective, tuning.weights, field, port, goal, clear, v, u))(
-        views, candidates
-    )
+    few = max(shape.chunk, 2)
+    effect = effect_of(candidates[:, 1:few], views[:, 0], views[:, few - 1], (few - 1) * model.dt)
+    cost = partial(sequence_cost, shape.objective, tuning.weights, field, port, goal, clear, authority(effect))
+    costs = jax.vmap(cost)(views, candidates)
     # A candidate whose prediction is not finite can never be chosen.
     costs = jnp.where(jnp.isfinite(costs), costs, jnp.finfo(dtype).max)
     weights = jax.nn.softmax((jnp.min(costs) - costs) / tuning.temperature)
     best = jnp.einsum("k,kti->ti", weights, candidates)
 
     wrenches = best[: shape.chunk] * tuning.limit
-    coast = coasting_wrench(candidates[:, 1], views[:, 0], views[:, 1])
+    coast = coasting_wrench(effect)
     following = jnp.concatenate([best[shape.chunk :], jnp.broadcast_to(coast, (shape.chunk, 6))])
     # What the model expects of the executed wrenches: over one chunk the views are linear in the actions to
     # well below the sensors' noise, so they may be averaged like them, which saves another rollout and its

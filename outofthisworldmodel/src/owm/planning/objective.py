@@ -14,6 +14,16 @@ def _safe_norm(vector: Float[Array, "3"]) -> Float[Array, ""]:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
 
 
+def _way(
+    objective: str, field: GeodesicField, port: Int[Array, ""], goal: Float[Array, "7"], position: Float[Array, "3"]
+) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    """Return how far it is to go, m, and the direction in which that grows."""
+    if objective == "geodesic":
+        return cost_to_go(field, port, position)
+    offset = position - goal[:3]
+    return _safe_norm(offset), offset
+
+
 def step_cost(
     objective: str,
     weights: Weights,
@@ -41,16 +51,13 @@ def step_cost(
     gap = clearance(field, position)
     turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(view[6:10]), goal[3:]))
     shared = w.effort * jnp.sum(effort * effort) + w.clearance * jnp.maximum(w.margin - gap, 0) ** 2
-    offset = position - goal[:3]
     if objective == "plain":
+        offset = position - goal[:3]
         errors = w.position * jnp.sum(offset * offset) + w.velocity * jnp.sum(velocity * velocity)
         turning = w.attitude * jnp.sum(turn * turn) + w.rate * jnp.sum(rate * rate)
         return errors + turning + shared, gap
 
-    if objective == "geodesic":
-        to_go, uphill = cost_to_go(field, port, position)
-    else:
-        to_go, uphill = _safe_norm(offset), offset
+    to_go, uphill = _way(objective, field, port, goal, position)
     speed = jnp.minimum(w.top_speed, jnp.sqrt(w.braking * jnp.maximum(to_go, 1e-9)))
     speed = jnp.minimum(speed, to_go / w.closing_time)
     speed = jnp.minimum(speed, w.crawl + w.crawl_per_clearance * jnp.maximum(gap, 0))
@@ -75,14 +82,19 @@ def sequence_cost(
     port: Int[Array, ""],
     goal: Float[Array, "7"],
     clear: Bool[Array, ""],
+    able: Float[Array, ""],
     views: Float[Array, "T 13"],
     efforts: Float[Array, "T 6"],
 ) -> Float[Array, ""]:
-    """Cost of one candidate: the mean over its steps until it touches the hull, and the charge for touching.
+    """Cost of one candidate: the mean over its steps, until it touches the hull, and a charge at its end.
+
+    That is for touching, or for a speed that cannot be braked over the way that is left: braking from the top speed
+    takes longer than a horizon, so that no step would tell before it is too late.
 
     Args:
         clear: whether it starts clear of the hull; one that does not is never charged for touching, so that
             the clearance term can lead it out.
+        able: acceleration to brake with, m/s2.
 
     Other arguments as for `step_cost`, one row a step.
     """
@@ -95,5 +107,11 @@ def sequence_cost(
     first = jnp.where(touched, jnp.argmax(touches), steps)
     before = jnp.arange(steps, dtype=first.dtype) < first
     remaining = (steps - first).astype(costs.dtype) / steps
-    charge = jnp.where(touched, weights.collision * (1 + remaining), 0)
+    touching = weights.collision * (1 + remaining)
+    if objective == "plain":
+        unbraked = jnp.zeros_like(touching)
+    else:
+        to_go, _ = _way(objective, field, port, goal, views[-1, :3])
+        unbraked = jnp.maximum(_safe_norm(views[-1, 3:6]) - jnp.sqrt(2 * able * jnp.maximum(to_go, 1e-9)), 0)
+    charge = jnp.where(touched, touching, weights.stopping * unbraked**2)
     return jnp.sum(jnp.where(before, costs, 0)) / steps + charge
