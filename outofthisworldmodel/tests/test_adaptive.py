@@ -94,6 +94,18 @@ def test_innovations_have_unit_variance_whatever_the_vehicle(models):
     assert np.all((deviation > 0.7) & (deviation < 1.4)), deviation
 
 
+def test_noise_beyond_the_training_s_is_not_taken_for_the_vehicle(models):
+    stream, statistics = models["adaptive"].params.network.stream, models["adaptive"].params.statistics
+    windows = flights(9, 24, 0.3, 0).windows(16, 64, seed=4)
+    known = jnp.ones(16, bool)
+    follow = jax.jit(jax.vmap(lambda o, a: stream.follow(statistics, o, a, known, 0.25)))
+    loud = np.random.default_rng(0).normal(size=(64, 16, 3)) * 25.0 * np.sqrt(statistics.filter.noise[1])
+    tracks = follow(windows.observation.at[:, :, 3:6].add(np.float32(loud)), windows.action)
+    found = np.asarray(tracks.response.mean)[:, -1, :3, :3] / statistics.filter.response[:3, :3]
+    size = np.sqrt(np.mean(np.diagonal(found, axis1=1, axis2=2) ** 2))
+    assert size < 1.5, f"in deviations of the training's vehicles, where next to nothing can be known: {size:.2f}"
+
+
 def test_a_sample_is_taken_in_as_a_measurement_is_and_files_keep_it(models, tmp_path):
     model = models["adaptive"]
     stream, statistics = model.params.network.stream, model.params.statistics

@@ -215,14 +215,19 @@ def observe(
 ) -> Track:
     """Advance a track by one action and the measurement that followed it.
 
-    After the first measurement it begins anew: from now on it is known which action came before.
+    After the first measurement it begins anew, but for the noise: from now on it is known which action came before.
+    The first innovation tells nothing but the noise, and that it must: noise beyond what is known of would be taken for
+    the vehicle's doing.
     """
     predicted, seen = predict(linear, track, action, dt), to_motion(view, track.motion.anchor)
     innovation = displacement(predicted, seen) / innovation_scale(statistics, track, action)
     followed = correct(statistics, track, action, predicted, innovation)
     begun = start_track(statistics, seen)
     begun = begun._replace(
-        response=begun.response._replace(previous=action), count=followed.count, innovation=innovation
+        response=begun.response._replace(previous=action),
+        noise=followed.noise,
+        count=followed.count,
+        innovation=innovation,
     )
     return jax.tree.map(lambda a, b: jnp.where(track.count == 0, a, b), begun, followed)
 
