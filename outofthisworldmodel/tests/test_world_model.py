@@ -382,6 +382,6 @@ def test_configurations_are_checked():
         ModelConfig(width=30)
     with pytest.raises(ValueError, match="must not exceed width"):
         ModelConfig(head_width=64)
-    for name in ("nano", "small", "latent", "paper"):
+    for name in ("nano", "adaptive", "small", "latent", "paper"):
         shapes = jax.eval_shape(lambda name=name: jax.tree.leaves(Network(preset(name), key=jax.random.key(0))))
         assert 1e4 < sum(leaf.size for leaf in shapes) < 1e7

@@ -60,6 +60,7 @@ class ModelConfig(BaseModel):
 PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
+    "adaptive": ModelConfig(stream="adaptive", history_length=64),
     "latent": ModelConfig(stream="latent", skip="learned"),
     "paper": ModelConfig(
         stream="latent",
@@ -75,8 +76,8 @@ PRESETS: dict[str, ModelConfig] = {
         head="velocity",
     ),
 }
-"""Named sizes; `nano` trains on a laptop, and so does `latent`, all learned; `paper` has the publication's stream,
-widths and denoiser, without images."""
+"""Named sizes; `nano` trains on a laptop, and so do `adaptive`, for vehicles that differ, and `latent`, all learned;
+`paper` has the publication's stream, widths and denoiser, without images."""
 
 
 def preset(name: str) -> ModelConfig:

@@ -108,6 +108,7 @@ class TrainConfig(BaseModel):
 PRESETS: dict[str, TrainConfig] = {
     "ci": TrainConfig(steps=400, warmup=50, rollouts=((1.0, 16),), save_every=200, chunk=50, validation_windows=128),
     "nano": TrainConfig(),
+    "adaptive": TrainConfig(model=MODELS["adaptive"]),
     "small": TrainConfig(model=MODELS["small"], steps=20_000, rollouts=((0.4, 16), (0.8, 32), (1.0, 64))),
     "latent": TrainConfig(
         model=MODELS["latent"],
@@ -125,8 +126,9 @@ PRESETS: dict[str, TrainConfig] = {
         round_trip_weight=0.0,
     ),
 }
-"""`ci`: about half a minute on two cores; `nano`, `latent`: minutes; `small`: an hour; `paper`: an accelerator (not
-measured). `latent` begins with short rollouts, while the layer under the network is found, and those are cheap."""
+"""`ci`: about half a minute on two cores; `nano`, `adaptive`, `latent`: minutes; `small`: an hour; `paper`: an
+accelerator (not measured). `latent` begins with short rollouts, while the layer under the network is found, and those
+are cheap."""
 
 
 def preset(name: str) -> TrainConfig:
