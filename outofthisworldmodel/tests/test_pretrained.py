@@ -17,10 +17,8 @@ def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
     assert kind_of("pretrained") == "world model" in GIVEN
     half = np.sqrt(0.5)
     view = jnp.asarray([40.0, -80.0, 25.0, 0.5, 0.3, -0.2, half, 0, -half, 0, 0.004, -0.006, 0.005], jnp.float32)
-    draws = jax.random.uniform(jax.random.key(0), (9, 6), jnp.float32, -0.3, 0.3)
-    actions = jnp.repeat(draws * jnp.asarray([1600.0] * 3 + [500.0] * 3), 8, axis=0)[
-        :71
-    ]  # held for 2 s, 17.75 s in all
+    draws = jax.random.uniform(jax.random.key(0), (16, 6), jnp.float32, -0.3, 0.3)
+    actions = jnp.repeat(draws * jnp.asarray([1600.0] * 3 + [500.0] * 3), 8, axis=0)[:127]  # each held for 2 s
 
     @jax.jit
     def truth(view, actions):
@@ -28,9 +26,11 @@ def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
         return roll_out(exact, exact.params, start, actions)
 
     views = jnp.concatenate([view[None], truth(view, actions)])
-    history = History(views[:8], actions[:7], jnp.ones(8, bool))
-    predicted = jax.jit(lambda history, actions: roll_out(model, model.params, history, actions))(history, actions[7:])
+    known = model.history_length
+    history = History(views[:known], actions[: known - 1], jnp.ones(known, bool))
+    rest = actions[known - 1 :]
+    predicted = jax.jit(lambda history, actions: roll_out(model, model.params, history, actions))(history, rest)
     error = np.linalg.norm(np.asarray(view_error(predicted[-1], views[-1])).reshape(4, 3), axis=1)
-    moved = np.linalg.norm(np.asarray(views[-1, :3] - views[7, :3]))
+    moved = np.linalg.norm(np.asarray(views[-1, :3] - views[known - 1, :3]))
     assert moved > 5.0
     assert error[0] < 0.1 and error[1] < 0.01 and np.degrees(error[2]) < 0.5 and np.degrees(error[3]) < 0.05
