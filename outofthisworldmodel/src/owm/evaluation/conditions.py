@@ -1,7 +1,7 @@
 """What a study changes: the environment that is flown, or the planner's map of it; no policy is told of either."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -78,8 +78,8 @@ def without_array(boxes: Boxes) -> Boxes:
     return boxes[~((centre[:, 0] > 25.0) & (centre[:, 2] > 6.0))]
 
 
-def _chaser(what: str, noise: str = "cooperative", **values: Any) -> Condition:
-    return Condition(what, noise=noise, hidden={"chaser": values})
+def _chaser(what: str, **values: Any) -> Condition:
+    return Condition(what, hidden={"chaser": values})
 
 
 def _scaled(factor: float) -> tuple[float, ...]:
@@ -118,17 +118,15 @@ CONDITIONS: dict[str, Condition] = {
         "navigation bias as large as the white error (0.05 m, 2 mm/s), correlated over 100 s",
         hidden={"noise": {"bias": _BIAS}},
     ),
-    "heavy, noncooperative": _chaser(
-        "mass +25 %, noncooperative noise", noise="noncooperative", mass=1.25 * _CHASER.mass
-    ),
-    "weak axis, noncooperative": _chaser(
-        "70 % thrust along the nose's axis, noncooperative noise",
-        noise="noncooperative",
-        thrust_scale=(1, 1, 0.7, 1, 1, 1),
-    ),
     "map shifted": Condition("the planner's hull lies 0.3 m off", map=shifted),
     "map turned": Condition("the planner's hull is turned by 1 deg", map=turned),
     "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
+}
+CONDITIONS |= {
+    f"{name}, noncooperative": replace(
+        CONDITIONS[name], what=f"{CONDITIONS[name].what}, noncooperative noise", noise="noncooperative"
+    )
+    for name in ("heavy", "weak axis")
 }
 
 
