@@ -169,7 +169,7 @@ def plan(batch: int, batches: list[int], processes: list[int], quick: bool) -> l
         config = noisy | {"fidelity": fidelity}
         groups.append([(kind, batch, config) for kind in ("physics", "rollout", "VectorEnv")])
     groups.append([("Env", 1, noisy), *(("AsyncVectorEnv", n, noisy) for n in processes), ("VectorEnv", batch, noisy)])
-    groups.append([("rollout", n, noisy) for n in batches])
+    groups += [[("rollout", n, noisy), ("VectorEnv", n, noisy)] for n in batches]
     return groups
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from owm.data import Episodes
 from owm.model.kinematics import Motion, advance, apply, to_motion
@@ -24,11 +24,15 @@ from owm.model.linear import LinearMap, linear_increment
 from owm.model.track import (
     MEMORY,
     PRIOR_COUNT,
-    PROCESS,
+    Filter,
+    choose_process,
     displace,
     displacement,
+    fit_windows,
+    follow_windows,
     innovation_variance,
     next_gain,
+    root_mean_square,
 )
 
 FIT_VIEWS, FIT_WINDOWS = 128, 64
@@ -126,12 +130,6 @@ def increment(
     return change + apply(track.response.mean, inputs(track, action)), drift
 
 
-def predict(linear: LinearMap, track: Track, action: Float[Array, "6"], dt: float) -> Motion:
-    """Return the motion that is expected after an action."""
-    change, drift = increment(linear, track, action)
-    return advance(track.motion, change, dt, drift)
-
-
 class Outlook(NamedTuple):
     """What the next innovation is made of.
 
@@ -219,7 +217,8 @@ def observe(
     The first innovation tells nothing but the noise, and that it must: noise beyond what is known of would be taken for
     the vehicle's doing.
     """
-    predicted, seen = predict(linear, track, action, dt), to_motion(view, track.motion.anchor)
+    change, drift = increment(linear, track, action)
+    predicted, seen = advance(track.motion, change, dt, drift), to_motion(view, track.motion.anchor)
     innovation = displacement(predicted, seen) / innovation_scale(statistics, track, action)
     followed = correct(statistics, track, action, predicted, innovation)
     begun = start_track(statistics, seen)
@@ -232,34 +231,8 @@ def observe(
     return jax.tree.map(lambda a, b: jnp.where(track.count == 0, a, b), begun, followed)
 
 
-def follow(
-    statistics: VehicleStatistics,
-    linear: LinearMap,
-    observation: Float[Array, "T 13"],
-    action: Float[Array, "T-1 6"],
-    valid: Bool[Array, "T"],
-    dt: float,
-) -> Track:
-    """Return the tracks at all measurements of a window, stacked; it begins at the first that is valid."""
-
-    def advance(track: Track, step: tuple[Array, Array, Array]) -> tuple[Track, Track]:
-        view, action, known = step
-        observed = observe(statistics, linear, track, action, view, dt)
-        begun = start_track(statistics, to_motion(view, track.motion.anchor))
-        track = jax.tree.map(lambda a, b: jnp.where(known, a, b), observed, begun)
-        return track, track
-
-    first = start_track(statistics, to_motion(observation[0], observation[0]))
-    _, rest = jax.lax.scan(advance, first, (observation[1:], action, valid[:-1]))
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
-
-
 def fit_vehicles(episodes: Episodes, linear: LinearMap) -> VehicleStatistics:
-    """Choose the process variances that predict best, and measure noise, shape and how far vehicles differ.
-
-    The score is the mean over windows of the logarithm of the mean square innovation: windows count alike whatever
-    their noise.
-    """
+    """Choose the process variances that predict best, and measure noise, shape and how far vehicles differ."""
     dtype = episodes.observation.dtype
     largest = np.abs(np.asarray(linear.action)).max(axis=1, keepdims=True)
     typical = np.sqrt(np.mean(np.square(episodes.action, dtype=np.float64)))
@@ -269,58 +242,20 @@ def fit_vehicles(episodes: Episodes, linear: LinearMap) -> VehicleStatistics:
     statistics = VehicleStatistics(
         *(jnp.asarray(x, dtype) for x in (np.ones(4), np.full(4, 1e-6), np.ones(12), response))
     )
-    windows = _windows(episodes)
+    flown = (linear, *fit_windows(episodes, FIT_VIEWS, FIT_WINDOWS), episodes.dt)
     for _ in range(FIT_ROUNDS):
-        statistics = _fit_noise(statistics, linear, *windows, episodes.dt)
+        statistics = choose_process(_late_squares, statistics, *flown)
         for _ in range(RESPONSE_PASSES):
-            statistics = _fit_response(statistics, linear, *windows, episodes.dt)
-    statistics = _fit_noise(statistics, linear, *windows, episodes.dt)
-    innovation = np.asarray(_tracks(statistics, linear, *windows, episodes.dt).innovation[:, 1:], np.float64)
-    shape = np.sqrt(np.mean(innovation**2, axis=(0, 1)))
-    return statistics._replace(shape=jnp.asarray(shape, dtype))
+            statistics = _fit_response(statistics, *flown)
+    statistics = choose_process(_late_squares, statistics, *flown)
+    return statistics._replace(shape=root_mean_square(follow_windows(VEHICLE, statistics, *flown).innovation[:, 1:]))
 
 
-def _windows(episodes: Episodes) -> tuple[Float[Array, "N V 13"], Float[Array, "N V-1 6"]]:
-    """Return observations and actions of evenly spread windows, shorter than wanted if no episode is so long."""
-    views = min(FIT_VIEWS, episodes.longest)
-    starts = episodes.starts(views)
-    rows = starts[:: -(-len(starts) // FIT_WINDOWS)][:, None] + np.arange(views)
-    return jnp.asarray(episodes.observation[rows]), jnp.asarray(episodes.action[rows[:, :-1]])
-
-
-@jax.jit
-def _tracks(statistics: VehicleStatistics, linear: LinearMap, observation: Array, action: Array, dt: float) -> Track:
-    known = jnp.ones(observation.shape[1], bool)
-    return jax.vmap(lambda o, a: follow(statistics, linear, o, a, known, dt))(observation, action)
-
-
-def _fit_noise(
-    statistics: VehicleStatistics, linear: LinearMap, observation: Array, action: Array, dt: float
-) -> VehicleStatistics:
-    dtype = observation.dtype
-
-    def squares(process: Array) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean square innovation (windows, 4) in the later half, and what of it is measurement noise."""
-        tried = statistics._replace(process=jnp.asarray(process, dtype), shape=jnp.ones(12, dtype))
-        return jax.tree.map(lambda x: np.asarray(x, np.float64), _late_squares(tried, linear, observation, action, dt))
-
-    process, choices = np.ones(4), np.asarray(PROCESS)
-    # Attitude follows from rate and position from velocity, so the filters are chosen in this order.
-    for k in (3, 2, 1, 0):
-        tried = np.repeat(process[None], len(choices), axis=0)
-        tried[:, k] = choices
-        scores = [np.log(squares(p)[0][:, k]).mean() for p in tried]
-        process[k] = choices[int(np.argmin(scores))]
-    noise = np.exp(np.log(squares(process)[1]).mean(axis=0))
-    noise = np.maximum(noise, 1e-18)  # the noise of nothing but rounding
-    return statistics._replace(process=jnp.asarray(process, dtype), noise=jnp.asarray(noise, dtype))
-
-
-@jax.jit
 def _late_squares(
     statistics: VehicleStatistics, linear: LinearMap, observation: Array, action: Array, dt: float
 ) -> tuple[Float[Array, "N 4"], Float[Array, "N 4"]]:
-    track = _tracks(statistics, linear, observation, action, dt)
+    """Return the mean square innovation of each window's later half, and what of it is measurement noise."""
+    track = follow_windows(VEHICLE, statistics, linear, observation, action, dt)
     late = observation.shape[1] // 2
     before = jax.tree.map(lambda x: x[:, late - 1 : -1], track)
     variance = jax.vmap(jax.vmap(lambda t, a: innovation_scale(statistics, t, a)))(before, action[:, late - 1 :]) ** 2
@@ -334,9 +269,15 @@ def _fit_response(
     statistics: VehicleStatistics, linear: LinearMap, observation: Array, action: Array, dt: float
 ) -> VehicleStatistics:
     """One pass of expectation-maximisation: the mean square of what the windows' vehicles are found to be."""
-    last = jax.tree.map(lambda x: x[:, -1], _tracks(statistics, linear, observation, action, dt).response)
+    last = jax.tree.map(
+        lambda x: x[:, -1], follow_windows(VEHICLE, statistics, linear, observation, action, dt).response
+    )
     return statistics._replace(response=jnp.sqrt(jnp.mean(last.mean**2 + jnp.sum(last.root**2, axis=-1), axis=0)))
 
 
 def _axes(x: Float[Array, "n *m"]) -> Float[Array, "3n *m"]:
     return jnp.repeat(x, 3, axis=0)
+
+
+VEHICLE = Filter(fit_vehicles, VehicleStatistics.skeleton, start_track, increment, innovation_scale, correct, observe)
+"""The vehicle may differ from flight to flight."""

@@ -8,7 +8,9 @@ what the network sees and predicts is of order one for each.
 Source: Durbin and Koopman (2012), Time series analysis by state space methods, sec. 2.2 (local level model).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,11 +19,12 @@ from jaxtyping import Array, Bool, Float
 
 from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_to_rotation_vector
 from owm.data import Episodes
-from owm.model.kinematics import Motion, apply, apply_inverse, multiply, rotation, to_motion
-from owm.model.linear import LinearMap, linear_advance
+from owm.model.kinematics import Motion, advance, apply, apply_inverse, multiply, rotation, to_motion
+from owm.model.linear import LinearMap, linear_increment
 
 FIT_VIEWS, FIT_WINDOWS = 24, 512
 """Length and most windows that a fit uses."""
+_Statistics = TypeVar("_Statistics")
 PROCESS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 """Process variances to choose from, in units of the measurement's."""
 PRIOR_COUNT = 0.05
@@ -42,6 +45,11 @@ class FilterStatistics(NamedTuple):
     process: Float[Array, "4"]
     noise: Float[Array, "4"]
     shape: Float[Array, "12"]
+
+    @classmethod
+    def skeleton(cls, dtype: jnp.dtype) -> "FilterStatistics":
+        """Return the shapes."""
+        return cls(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((4,), (4,), (12,))))
 
 
 class Track(NamedTuple):
@@ -107,15 +115,28 @@ def innovation_variance(statistics: FilterStatistics, track: Track) -> Float[Arr
     return track.noise / (1.0 - next_gain(statistics, track))
 
 
-def innovation_scale(statistics: FilterStatistics, track: Track) -> Float[Array, "12"]:
-    """Return the deviation of the next innovation: m, m/s, rad, rad/s."""
+def increment(
+    linear: LinearMap, track: Track, action: Float[Array, "6"]
+) -> tuple[Float[Array, "6"], Float[Array, "3"]]:
+    """Return what an action is expected to change, as `linear_increment` does."""
+    return linear_increment(linear, track.motion, action)
+
+
+def innovation_scale(statistics: FilterStatistics, track: Track, action: Float[Array, "6"]) -> Float[Array, "12"]:
+    """Return the deviation of the innovation that follows an action: m, m/s, rad, rad/s."""
     return _axes(jnp.sqrt(innovation_variance(statistics, track))) * statistics.shape
 
 
-def correct(statistics: FilterStatistics, track: Track, predicted: Motion, innovation: Float[Array, "12"]) -> Track:
-    """Take in a view, given by how far it is from the predicted motion in units of `innovation_scale`."""
+def correct(
+    statistics: FilterStatistics,
+    track: Track,
+    action: Float[Array, "6"],
+    predicted: Motion,
+    innovation: Float[Array, "12"],
+) -> Track:
+    """Take in the view that followed an action, by how far it is from `predicted` in units of `innovation_scale`."""
     gain = next_gain(statistics, track)
-    away = innovation_scale(statistics, track) * innovation
+    away = innovation_scale(statistics, track, action) * innovation
     size = jnp.mean((innovation * statistics.shape).reshape(4, 3) ** 2, axis=1)
     weight = jnp.maximum(1.0 / (track.count + 1.0 + PRIOR_COUNT), 1.0 / MEMORY)
     return Track(
@@ -137,73 +158,145 @@ def observe(
     dt: float,
 ) -> Track:
     """Advance a track by one action and the measurement that followed it."""
-    predicted = linear_advance(linear, track.motion, action, dt)
+    change, drift = increment(linear, track, action)
+    predicted = advance(track.motion, change, dt, drift)
     away = displacement(predicted, to_motion(view, track.motion.anchor))
-    return correct(statistics, track, predicted, away / innovation_scale(statistics, track))
+    return correct(statistics, track, action, predicted, away / innovation_scale(statistics, track, action))
+
+
+class Filter(NamedTuple):
+    """One way to follow a motion: functions for one example, of statistics of their own and tracks of their own.
+
+    Attributes:
+        fit: the statistics of episodes.
+        skeleton: the statistics' shapes.
+        begin: the track of a first measurement.
+        increment: what an action is expected to change, as `linear_increment` does.
+        scale: deviation of the innovation that follows an action.
+        correct: the track after a view, given by its innovation.
+        observe: the track after a view.
+    """
+
+    fit: Callable[[Episodes, LinearMap], Any]
+    skeleton: Callable[[jnp.dtype], Any]
+    begin: Callable[[Any, Motion], Any]
+    increment: Callable[[LinearMap, Any, Array], tuple[Array, Array]]
+    scale: Callable[[Any, Any, Array], Array]
+    correct: Callable[[Any, Any, Array, Motion, Array], Any]
+    observe: Callable[[Any, LinearMap, Any, Array, Array, float], Any]
 
 
 def follow(
-    statistics: FilterStatistics,
+    filter: Filter,
+    statistics: Any,
     linear: LinearMap,
     observation: Float[Array, "T 13"],
     action: Float[Array, "T-1 6"],
     valid: Bool[Array, "T"],
     dt: float,
-) -> Track:
+) -> Any:
     """Return the tracks at all measurements of a window, stacked; it begins at the first that is valid."""
+    anchor = observation[0]
 
-    def advance(track: Track, step: tuple[Array, Array, Array]) -> tuple[Track, Track]:
+    def advance(track: Any, step: tuple[Array, Array, Array]) -> tuple[Any, Any]:
         view, action, known = step
-        observed = observe(statistics, linear, track, action, view, dt)
-        begun = start_track(statistics, to_motion(view, track.motion.anchor))
+        observed = filter.observe(statistics, linear, track, action, view, dt)
+        begun = filter.begin(statistics, to_motion(view, anchor))
         track = jax.tree.map(lambda a, b: jnp.where(known, a, b), observed, begun)
         return track, track
 
-    first = start_track(statistics, to_motion(observation[0], observation[0]))
+    first = filter.begin(statistics, to_motion(anchor, anchor))
     _, rest = jax.lax.scan(advance, first, (observation[1:], action, valid[:-1]))
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
 
 
+@partial(jax.jit, static_argnames="filter")
+def follow_windows(
+    filter: Filter,
+    statistics: Any,
+    linear: LinearMap,
+    observation: Float[Array, "N T 13"],
+    action: Float[Array, "N T-1 6"],
+    dt: float,
+) -> Any:
+    """Return `follow` of each of N windows that are valid throughout."""
+    known = jnp.ones(observation.shape[1], bool)
+    return jax.vmap(lambda o, a: follow(filter, statistics, linear, o, a, known, dt))(observation, action)
+
+
 def fit_filter(episodes: Episodes, linear: LinearMap) -> FilterStatistics:
-    """Choose the process variances that predict best, and measure noise and shape.
+    """Choose the process variances that predict best, and measure noise and shape."""
+    flown = (linear, *fit_windows(episodes, FIT_VIEWS, FIT_WINDOWS), episodes.dt)
+    one = jnp.ones(12, episodes.observation.dtype)
+    statistics = choose_process(_late_squares, FilterStatistics(one[:4], one[:4], one), *flown)
+    return statistics._replace(
+        shape=root_mean_square(follow_windows(LOCAL_LEVEL, statistics, *flown).innovation[:, 1:])
+    )
+
+
+def _late_squares(
+    statistics: FilterStatistics, linear: LinearMap, observation: Array, action: Array, dt: float
+) -> tuple[Float[Array, "N 4"], Float[Array, "N 4"]]:
+    """Return the mean square innovation of each window's later half, and what of it is measurement noise."""
+    track = follow_windows(LOCAL_LEVEL, statistics, linear, observation, action, dt)
+    unit = track.noise[:, :-1] / (1.0 - track.gain[:, 1:])
+    square = unit * jnp.mean(track.innovation[:, 1:].reshape(*unit.shape, 3) ** 2, axis=-1)
+    late = jnp.mean(square[:, observation.shape[1] // 2 :], axis=1)
+    return late, late * (1.0 - track.gain[:, -1])
+
+
+def fit_windows(episodes: Episodes, views: int, most: int) -> tuple[Float[Array, "N V 13"], Float[Array, "N V-1 6"]]:
+    """Return observations and actions of evenly spread windows, shorter than wanted if no episode is so long."""
+    views = min(views, episodes.longest)
+    starts = episodes.starts(views)
+    rows = starts[:: -(-len(starts) // most)][:, None] + np.arange(views)
+    return jnp.asarray(episodes.observation[rows]), jnp.asarray(episodes.action[rows[:, :-1]])
+
+
+def choose_process(squares: Callable[..., tuple[Array, Array]], statistics: _Statistics, *flown: Any) -> _Statistics:
+    """Return the statistics with those process variances of `PROCESS` that predict best, and the noise then.
 
     The score is the mean over windows of the logarithm of the mean square innovation: windows count alike whatever
     their noise.
+
+    Args:
+        squares: gives, for statistics and what was flown, each window's mean square innovation of each of the four
+            quantities (windows, 4), and what of it is measurement noise (windows, 4).
     """
-    views = min(FIT_VIEWS, episodes.longest)
-    starts = episodes.starts(views)
-    rows = starts[:: -(-len(starts) // FIT_WINDOWS)][:, None] + np.arange(views)
-    observation, action = jnp.asarray(episodes.observation[rows]), jnp.asarray(episodes.action[rows[:, :-1]])
-    dtype = observation.dtype
-    known = jnp.ones(views, bool)
-
-    @jax.jit
-    def tracks(statistics: FilterStatistics) -> Track:
-        return jax.vmap(lambda o, a: follow(statistics, linear, o, a, known, episodes.dt))(observation, action)
-
-    @jax.jit
-    def squares(process: Array) -> tuple[Array, Array]:
-        """Return the mean square innovation (windows, 4) in the later half, and what of it is measurement noise."""
-        track = tracks(FilterStatistics(process, jnp.ones_like(process), jnp.ones(12, dtype)))
-        unit = track.noise[:, :-1] / (1.0 - track.gain[:, 1:])
-        square = unit * jnp.mean(track.innovation[:, 1:].reshape(*unit.shape, 3) ** 2, axis=-1)
-        late = jnp.mean(square[:, views // 2 :], axis=1)
-        return late, late * (1.0 - track.gain[:, -1])
-
-    process, choices = np.ones(4), np.asarray(PROCESS)
+    choices = jnp.asarray(PROCESS, statistics.process.dtype)
+    process = jnp.ones_like(statistics.process)
     # Attitude follows from rate and position from velocity, so the filters are chosen in this order.
     for k in (3, 2, 1, 0):
-        tried = np.repeat(process[None], len(choices), axis=0)
-        tried[:, k] = choices
-        scores = [np.log(np.asarray(squares(jnp.asarray(p, dtype))[0][:, k], np.float64)).mean() for p in tried]
-        process[k] = choices[int(np.argmin(scores))]
-    noise = np.exp(np.log(np.asarray(squares(jnp.asarray(process, dtype))[1], np.float64)).mean(axis=0))
-    noise = np.maximum(noise, 1e-18)  # the noise of nothing but rounding
-    statistics = FilterStatistics(jnp.asarray(process, dtype), jnp.asarray(noise, dtype), jnp.ones(12, dtype))
-    innovation = np.asarray(tracks(statistics).innovation[:, 1:], np.float64)
-    shape = np.sqrt(np.mean(innovation**2, axis=(0, 1)))
-    return statistics._replace(shape=jnp.asarray(shape, dtype))
+        tried = jnp.tile(process, (len(choices), 1)).at[:, k].set(choices)
+        score, noise = _mean_logs(squares, statistics, tried, *flown)
+        best = jnp.argmin(score[:, k])
+        process = tried[best]
+    return statistics._replace(process=process, noise=jnp.maximum(jnp.exp(noise[best]), 1e-18))  # rounding's
+
+
+@partial(jax.jit, static_argnames="squares")
+def _mean_logs(
+    squares: Callable[..., tuple[Array, Array]], statistics: _Statistics, process: Float[Array, "P 4"], *flown: Any
+) -> tuple[Float[Array, "P 4"], Float[Array, "P 4"]]:
+    """Return the means over windows of the logarithms of what `squares` gives for each choice of variances."""
+
+    def one(process: Float[Array, "4"]) -> tuple[Float[Array, "4"], Float[Array, "4"]]:
+        return jax.tree.map(
+            lambda x: jnp.mean(jnp.log(x), axis=0), squares(statistics._replace(process=process), *flown)
+        )
+
+    return jax.vmap(one)(process)
+
+
+def root_mean_square(innovation: Float[Array, "N V 12"]) -> Float[Array, "12"]:
+    """Return the `shape` of innovations that were scaled without one."""
+    mean = np.mean(np.square(innovation, dtype=np.float64), axis=(0, 1))
+    return jnp.asarray(np.sqrt(mean), innovation.dtype)
 
 
 def _axes(x: Float[Array, "4"]) -> Float[Array, "12"]:
     return jnp.repeat(x, 3)
+
+
+LOCAL_LEVEL = Filter(fit_filter, FilterStatistics.skeleton, start_track, increment, innovation_scale, correct, observe)
+"""The vehicle is that of the training flights."""

@@ -1,6 +1,6 @@
 """The kinematic stream: a learned residual on analytic rigid-body kinematics, filtered from noisy measurements."""
 
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,19 +20,8 @@ from owm.model.kinematics import (
     to_station,
     to_view,
 )
-from owm.model.linear import LinearMap, fit_linear_map, linear_advance, linear_increment
-from owm.model.track import (
-    FilterStatistics,
-    Track,
-    correct,
-    displacement,
-    fit_filter,
-    follow,
-    innovation_scale,
-    innovation_variance,
-    next_gain,
-    observe,
-)
+from owm.model.linear import LinearMap, fit_linear_map
+from owm.model.track import LOCAL_LEVEL, Filter, Track, displacement, follow, innovation_variance, next_gain
 from owm.model.transformer import Perceptron
 
 
@@ -41,7 +30,7 @@ class Statistics(NamedTuple):
 
     Attributes:
         linear: the least-squares map under the network.
-        filter: what measurements are filtered with.
+        filter: what measurements are filtered with, of the stream's `Filter`.
         action_scale: root mean square of each action component.
         position_scale: root mean square of station-frame position, m.
         velocity_scale: root mean square of velocity, m/s.
@@ -49,7 +38,7 @@ class Statistics(NamedTuple):
     """
 
     linear: LinearMap
-    filter: FilterStatistics
+    filter: Any
     action_scale: Float[Array, "6"]
     position_scale: Float[Array, ""]
     velocity_scale: Float[Array, ""]
@@ -74,11 +63,10 @@ class KinematicStream(eqx.Module):
     token_count: ClassVar[int] = 1
     residual_size: ClassVar[int] = 12
     features: ClassVar[int] = 41
+    filter: ClassVar[Filter] = LOCAL_LEVEL
 
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
         self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
-
-    fit_filter = staticmethod(fit_filter)
 
     @classmethod
     def fit(cls, episodes: Episodes) -> Statistics:
@@ -92,23 +80,18 @@ class KinematicStream(eqx.Module):
         view = episodes.observation
         return Statistics(
             linear,
-            cls.fit_filter(episodes, linear),
+            cls.filter.fit(episodes, linear),
             size(episodes.action, 0),
             size(view[:, :3]),
             size(view[:, 3:6]),
             size(view[:, 10:]),
         )
 
-    @staticmethod
-    def skeleton(dtype: jnp.dtype) -> Statistics:
+    @classmethod
+    def skeleton(cls, dtype: jnp.dtype) -> Statistics:
         """Return the shapes of the statistics."""
-
-        def shapes(*sizes: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
-            return [jax.ShapeDtypeStruct(size, dtype) for size in sizes]
-
-        return Statistics(
-            LinearMap.skeleton(dtype), FilterStatistics(*shapes((4,), (4,), (12,))), *shapes((6,), (), (), ())
-        )
+        scales = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (), (), ()))
+        return Statistics(LinearMap.skeleton(dtype), cls.filter.skeleton(dtype), *scales)
 
     def follow(
         self,
@@ -119,13 +102,13 @@ class KinematicStream(eqx.Module):
         dt: float,
     ) -> Track:
         """Return the tracks at all measurements of a window, stacked."""
-        return follow(statistics.filter, statistics.linear, observation, action, valid, dt)
+        return follow(self.filter, statistics.filter, statistics.linear, observation, action, valid, dt)
 
     def observe(
         self, statistics: Statistics, track: Track, action: Float[Array, "6"], view: Float[Array, "13"], dt: float
     ) -> Track:
         """Return the track after an action and the measurement that followed it."""
-        return observe(statistics.filter, statistics.linear, track, action, view, dt)
+        return self.filter.observe(statistics.filter, statistics.linear, track, action, view, dt)
 
     def tokens(self, statistics: Statistics, track: Track) -> Float[Array, "1 d"]:
         """Return the token of a track."""
@@ -156,8 +139,9 @@ class KinematicStream(eqx.Module):
         self, statistics: Statistics, before: Track, after: Track, action: Float[Array, "6"], dt: float
     ) -> Float[Array, "1 12"]:
         """Return the unit-variance residual that leads from a track to the view of the next one."""
-        predicted = linear_advance(statistics.linear, before.motion, action, dt)
-        return (displacement(predicted, after.view) / innovation_scale(statistics.filter, before))[None]
+        change, drift = self.filter.increment(statistics.linear, before, action)
+        away = displacement(advance(before.motion, change, dt, drift), after.view)
+        return (away / self.filter.scale(statistics.filter, before, action))[None]
 
     def change_loss(
         self, statistics: Statistics, before: Track, after: Track, action: Float[Array, "6"], dt: float
@@ -176,12 +160,12 @@ class KinematicStream(eqx.Module):
         sampled: bool,
     ) -> Track:
         """Advance the track by one step under a sampled (or measured) residual, or under the expected one."""
+        change, drift = self.filter.increment(statistics.linear, track, action)
         if sampled:
-            predicted = linear_advance(statistics.linear, track.motion, action, dt)
-            return correct(statistics.filter, track, predicted, residual[0])
-        increment, drift = linear_increment(statistics.linear, track.motion, action)
-        away = innovation_scale(statistics.filter, track) * residual[0]
-        motion = advance(track.motion, increment + jnp.concatenate([away[3:6], away[9:]]), dt, drift)
+            predicted = advance(track.motion, change, dt, drift)
+            return self.filter.correct(statistics.filter, track, action, predicted, residual[0])
+        away = self.filter.scale(statistics.filter, track, action) * residual[0]
+        motion = advance(track.motion, change + jnp.concatenate([away[3:6], away[9:]]), dt, drift)
         return track._replace(motion=motion, view=motion, innovation=jnp.zeros_like(track.innovation))
 
     def decode(self, statistics: Statistics, track: Track) -> dict[str, Array]:
