@@ -14,6 +14,7 @@ from owm.evaluation.docking import evaluation_config
 from owm.model.checkpoint import save_world_model
 from owm.model.linear import LinearMap
 from owm.policies import GIVEN, NAMES, differences, kind_of, load_model
+from owm.training.config import PRESETS
 
 
 def python(code, **environ):
@@ -111,6 +112,18 @@ def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
     data, _, config, project = seen[0]
     assert data == (Path("d"), Path("e")) and project == "p"
     assert (config.steps, config.batch, config.model.width) == (400, 7, 64)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_a_choice_of_train(preset, monkeypatch, tmp_path, recwarn):
+    import owm.commands
+
+    seen = []
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(owm.commands, "train", lambda *arguments: seen.append(arguments))
+    cli.main(["train", "--data", "d", "--out", "o", "--preset", preset])
+    assert seen[0][2] == PRESETS[preset]
+    assert not recwarn.list, [str(warning.message) for warning in recwarn.list]
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"kind": "diffusion"}'])

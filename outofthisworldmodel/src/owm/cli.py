@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 import tyro
 
 Shell = Literal["100-225", "100-125"]
-Preset = Literal["ci", "nano", "small", "latent", "paper"]
 
 
 def fly(
@@ -174,7 +173,7 @@ def _train(preset: str):
     def train(
         data: tuple[Path, ...],
         out: Path,
-        preset: Preset = start_from,
+        preset: Literal[*PRESETS] = start_from,
         wandb: str | None = None,
         config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
     ) -> None:
@@ -205,7 +204,7 @@ def _train_ppo(preset: str):
 
     def train_ppo(
         out: Path,
-        preset: Literal["paper", "ci"] = start_from,
+        preset: Literal[*PRESETS] = start_from,
         config: Annotated[PPOConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
     ) -> None:
         """Train the PPO baseline in Stable-Baselines3; a killed run is resumed by the same command.
