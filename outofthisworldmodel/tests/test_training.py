@@ -131,27 +131,32 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
         train(CONFIG, episodes, episodes, out, console=QUIET)
 
 
+def killed_once(reached, episodes, folder, out, **environ):
+    """Train in a process that is killed as soon as `reached()` says so."""
+    data, log = folder / "data.npz", folder / "log"
+    np.savez(data, **{f.name: np.asarray(getattr(episodes, f.name)) for f in fields(Episodes)})
+    command = [sys.executable, "-c", CHILD, str(data), CONFIG.model_dump_json(), str(out)]
+    with log.open("wb") as file:
+        child = subprocess.Popen(command, stdout=file, stderr=file, env=os.environ | {"JAX_PLATFORMS": "cpu"} | environ)
+        try:
+            deadline = time.monotonic() + 240
+            while not reached() and child.poll() is None and time.monotonic() < deadline:
+                time.sleep(0.01)
+        finally:
+            child.kill()
+            child.wait()
+    assert reached() and child.returncode != 0, log.read_text(encoding="utf-8", errors="replace")
+
+
 def test_killed_and_resumed_equals_uninterrupted(uninterrupted, episodes, tmp_path):
     _, whole, _ = uninterrupted
-    data, out = tmp_path / "data.npz", tmp_path / "killed"
-    np.savez(data, **{f.name: np.asarray(getattr(episodes, f.name)) for f in fields(Episodes)})
+    out = tmp_path / "killed"
 
     def saved():
         """Tell whether a save has been completed: its directory then has the step's number for a name."""
         return any(path.name.isdigit() for path in (out / "state").glob("*"))
 
-    command = [sys.executable, "-c", CHILD, str(data), CONFIG.model_dump_json(), str(out)]
-    with (tmp_path / "log").open("wb") as log:
-        child = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | {"JAX_PLATFORMS": "cpu"})
-        try:
-            deadline = time.monotonic() + 240
-            while not saved() and child.poll() is None and time.monotonic() < deadline:
-                time.sleep(0.01)
-        finally:
-            child.kill()
-            child.wait()
-    assert child.returncode != 0, (tmp_path / "log").read_text(encoding="utf-8", errors="replace")
-    assert saved(), "it was killed before its first save"
+    killed_once(saved, episodes, tmp_path, out)
     assert not (out / "model").exists(), "a killed run publishes nothing"
     # What a kill within a line of the log would leave.
     with (out / "metrics.jsonl").open("a", encoding="utf-8") as file:
@@ -251,15 +256,17 @@ def test_bfloat16_is_the_network_s_alone():
 
 def test_two_devices_give_one_device_s_losses(uninterrupted, episodes, tmp_path):
     _, one, _ = uninterrupted
-    data, out = tmp_path / "data.npz", tmp_path / "two"
-    np.savez(data, **{f.name: np.asarray(getattr(episodes, f.name)) for f in fields(Episodes)})
-    flags = {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
-    command = [sys.executable, "-c", CHILD, str(data), CONFIG.model_dump_json(), str(out)]
-    subprocess.run(command, check=True, env=os.environ | flags, capture_output=True, timeout=300)
+    out = tmp_path / "two"
+    metrics = out / "metrics.jsonl"
+
+    def logged():
+        return metrics.exists() and metrics.read_bytes().count(b"\n") >= 4
+
+    killed_once(logged, episodes, tmp_path, out, XLA_FLAGS="--xla_force_host_platform_device_count=2")
     assert json.loads((out / "run.json").read_text(encoding="utf-8"))["settled"] == {"batch": 16, "devices": 2}
-    for ours, theirs in zip(lines(one)[:4], lines(out)[:4], strict=True):
-        assert theirs == pytest.approx(ours, rel=1e-3), "the same but for rounding, which training then amplifies"
-    shutil.rmtree(out / "model")
+    theirs = [json.loads(line) for line in metrics.read_text(encoding="utf-8").splitlines()[:4]]
+    for ours, other in zip(lines(one)[:4], theirs, strict=True):
+        assert other == pytest.approx(ours, rel=1e-3), "the same but for rounding, which training then amplifies"
     with pytest.raises(ValueError, match="devices must be at most 1, the local devices, got 2"):
         train(CONFIG, episodes, episodes, out, console=QUIET)
 
