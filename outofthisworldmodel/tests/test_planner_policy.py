@@ -1,0 +1,199 @@
+"""The policy around the planner, flying a rigid body beside a box."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from free_body import BIAS, GOAL, LIMIT, NO_BIAS, PORT, FreeBody, move, small_field, view_at
+
+from owm.planning.config import PlannerConfig
+from owm.planning.policy import PlannerPolicy
+from owm_envs.config import load_config
+
+ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
+STARTS = np.stack([view_at((3, -20, 4)), view_at((-8, -14, -6), np.float32([0.5, -0.866, 0, 0]))])
+
+
+def observe(layout, views) -> np.ndarray:
+    """Observations (B, O) that hold views (B, 13) and nothing else."""
+    observation = np.zeros((len(views), layout.size), np.float32)
+    observation[:, layout.view] = views
+    return observation
+
+
+def make(slots=2, **values) -> PlannerPolicy:
+    policy = PlannerPolicy(FreeBody(), small_field(), ENV, PlannerConfig(**values), slots)
+    policy.reset(ports=np.full(slots, PORT))
+    return policy
+
+
+def fly(policy, views, decisions, bias=NO_BIAS):
+    """Fly a batch of bodies; return the last views and all actions."""
+    actions = []
+    for _ in range(decisions):
+        action, _ = policy.predict(observe(policy.layout, views))
+        views = np.asarray(move(bias, views, action))
+        actions.append(action)
+    return views, np.stack(actions)
+
+
+def miss(views):
+    """Distance to the goal m, speed m/s, angle to the goal attitude rad."""
+    angle = 2 * np.arccos(np.minimum(1, np.abs(views[:, 6:10] @ GOAL[3:])))
+    return np.linalg.norm(views[:, :3] - GOAL[:3], axis=1), np.linalg.norm(views[:, 3:6], axis=1), angle
+
+
+@pytest.mark.parametrize(("bias", "latency"), [(NO_BIAS, 0), (BIAS, 0), (BIAS, 1)])
+def test_reaches_the_goal_and_stays_there(bias, latency):
+    """Bias or none, planned in no time or in a step: the corrector finds it and the warm start holds against it."""
+    policy = make(latency=latency)
+    views, actions = fly(policy, STARTS, 200, bias)
+    assert (actions[:latency] == 0).all() and np.abs(actions[latency]).max() > 1.0
+    assert actions.dtype == np.float32 and actions.shape == (200, 2, 6)
+    misses = []
+    for _ in range(5):
+        misses.append(miss(views))
+        views, _ = fly(policy, views, 8, bias)
+    distance, speed, angle = np.mean(misses, axis=0)
+    assert (distance < 0.1).all() and (speed < 0.05).all() and (angle < np.radians(2)).all()
+
+
+def test_without_the_corrector_a_bias_keeps_it_away():
+    assert (miss(fly(make(corrector=False), STARTS, 200, BIAS)[0])[0] > 0.5).all()
+
+
+@dataclass(frozen=True)
+class BiasLearner:
+    """Takes half of each prediction error over as a bias."""
+
+    def init(self, params):
+        return params
+
+    def learn(self, known, before, action, after):
+        miss = after - FreeBody().step(known, None, action, before)
+        return known + 0.5 * jnp.concatenate([miss[3:6], miss[10:]]) / FreeBody.dt
+
+    def params(self, known):
+        return known
+
+
+def test_a_learner_gives_each_slot_the_parameters_it_finds():
+    policy = PlannerPolicy(FreeBody(), small_field(), ENV, PlannerConfig(corrector=False), 2, learner=BiasLearner())
+    policy.reset(ports=[PORT] * 2)
+    views = STARTS
+    for _ in range(30):  # one slot under the bias, one without
+        action, state = policy.predict(observe(policy.layout, views))
+        flown = [move(bias, views, action) for bias in (BIAS, NO_BIAS)]
+        views = np.stack([flown[0][0], flown[1][1]])
+    np.testing.assert_allclose(state.known, [BIAS, NO_BIAS], atol=2e-5)
+    policy.reset(mask=np.array([True, False]))
+    _, state = policy.predict(observe(policy.layout, views))
+    np.testing.assert_allclose(state.known, [NO_BIAS, NO_BIAS], atol=2e-5)
+
+
+def test_a_reset_slot_starts_like_a_fresh_policy_and_leaves_the_others_alone():
+    policy, undisturbed, fresh = make(), make(), make()
+    half, _ = fly(policy, STARTS, 5)  # in the middle of a chunk
+    fly(undisturbed, STARTS, 5)
+    policy.reset(mask=np.array([False, True]))
+    again = np.stack([half[0], STARTS[1]])
+    _, actions = fly(policy, again, 21)
+    _, continued = fly(undisturbed, np.stack([half[0], half[1]]), 21)
+    _, first = fly(fresh, STARTS, 21)
+    np.testing.assert_array_equal(actions[:, 1], first[:, 1])
+    np.testing.assert_array_equal(actions[:, 0], continued[:, 0])
+    assert np.abs(actions[:, 1] - continued[:, 1]).max() > 1.0  # N
+
+
+def test_episode_start_is_a_reset():
+    told, flagged = make(), make()
+    half, _ = fly(told, STARTS, 5)
+    fly(flagged, STARTS, 5)
+    told.reset(mask=np.array([True, False]))
+    observation = observe(told.layout, half)
+    expected, _ = told.predict(observation)
+    actual, _ = flagged.predict(observation, episode_start=np.array([True, False]))
+    np.testing.assert_array_equal(actual, expected)
+
+
+def test_slots_do_not_depend_on_their_number():
+    _, alone = fly(make(1), STARTS[:1], 9)
+    _, together = fly(make(2), STARTS, 9)
+    np.testing.assert_array_equal(alone[:, 0], together[:, 0])
+
+
+def test_a_returned_state_can_be_resumed():
+    policy = make()
+    views = STARTS
+    observation = observe(policy.layout, views)
+    _, state = policy.predict(observation)
+    second, _ = policy.predict(observation, state)
+    policy.predict(observation)
+    repeated, _ = policy.predict(observation, state)
+    np.testing.assert_array_equal(repeated, second)
+
+
+def test_ended_slots_are_skipped_until_they_begin_again():
+    policy = make()
+    policy.active = np.array([True, False])
+    actions, _ = policy.predict(observe(policy.layout, STARTS))
+    assert len(policy.seconds) == 1
+    assert (actions[1] == 0).all() and np.abs(actions[0]).max() > 1.0
+    policy.reset(mask=np.array([False, True]))
+    actions, _ = policy.predict(observe(policy.layout, STARTS))
+    assert len(policy.seconds) == 2 and np.abs(actions[1]).max() > 1.0
+
+
+def test_sees_only_the_measured_view():
+    """Epoch and goal error are never read, and truth has no way in: no info is ever passed."""
+    env = load_config(fidelity="iss-numerical", steps_per_action=5)
+    seen, blind = (PlannerPolicy(FreeBody(), small_field(), env, num_slots=2) for _ in range(2))
+    for policy in (seen, blind):
+        policy.reset(ports=[PORT] * 2)
+    observation = observe(seen.layout, STARTS)
+    erased = np.full_like(observation, np.nan)
+    erased[:, seen.layout.view] = STARTS
+    np.testing.assert_array_equal(seen.predict(observation)[0], blind.predict(erased)[0])
+
+
+def test_normalised_environments_get_the_same_commands():
+    config = ENV.model_copy(update={"normalize": True})
+    plain = make()
+    scaled = PlannerPolicy(FreeBody(), small_field(), config, num_slots=2)
+    scaled.reset(ports=[PORT] * 2)
+    limit = np.float32(LIMIT)
+    scale = np.float32([225.0] * 3 + [5.0] * 3 + [1.0] * 4 + [0.05] * 3)
+    wrench, _ = plain.predict(observe(plain.layout, STARTS))
+    action, _ = scaled.predict(observe(scaled.layout, STARTS / scale))
+    np.testing.assert_allclose(action * limit, wrench, atol=0.02 * 1600)
+    assert np.abs(action).max() <= 1
+
+
+def test_wrong_decision_rate_is_refused():
+    with pytest.raises(ValueError, match=r"every 0\.25 s.*steps_per_action=5"):
+        PlannerPolicy(FreeBody(), small_field(), load_config(fidelity="iss"))
+
+
+def test_ports_are_checked():
+    policy = PlannerPolicy(FreeBody(), small_field(), ENV, num_slots=2)
+    with pytest.raises(ValueError, match="call reset"):
+        policy.predict(np.zeros((2, policy.layout.size), np.float32))
+    with pytest.raises(ValueError, match="ports must be given"):
+        policy.reset()
+    with pytest.raises(ValueError, match="indices from 0 to 7"):
+        policy.reset(ports=[0, 8])
+    with pytest.raises(ValueError, match="does not cover zvezda_aft"):
+        policy.reset(ports=[0, 3])
+    with pytest.raises(ValueError, match=r"shape \(2,\)"):
+        policy.reset(ports=[0])
+
+
+def test_observations_are_checked():
+    policy = make()
+    with pytest.raises(ValueError, match="must have shape"):
+        policy.predict(np.zeros((2, 7), np.float32))
+    broken = observe(policy.layout, STARTS)
+    broken[1, policy.layout.view] = np.nan
+    with pytest.raises(ValueError, match=r"not finite in slots \[1\]"):
+        policy.predict(broken)
