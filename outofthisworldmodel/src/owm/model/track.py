@@ -24,13 +24,13 @@ from owm.model.linear import LinearMap, linear_increment
 
 FIT_VIEWS, FIT_WINDOWS = 24, 512
 """Length and most windows that a fit uses."""
-_Statistics = TypeVar("_Statistics")
 PROCESS = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1000.0)
 """Process variances to choose from, in units of the measurement's."""
 PRIOR_COUNT = 0.05
 """Measurements that the prior of the noise is worth."""
 MEMORY = 16
 """Measurements over which the noise is averaged."""
+_Statistics = TypeVar("_Statistics")
 
 
 class FilterStatistics(NamedTuple):
@@ -271,7 +271,8 @@ def choose_process(squares: Callable[..., tuple[Array, Array]], statistics: _Sta
         score, noise = _mean_logs(squares, statistics, tried, *flown)
         best = jnp.argmin(score[:, k])
         process = tried[best]
-    return statistics._replace(process=process, noise=jnp.maximum(jnp.exp(noise[best]), 1e-18))  # rounding's
+    noise = jnp.maximum(jnp.exp(noise[best]), 1e-18)  # the noise of nothing but rounding
+    return statistics._replace(process=process, noise=noise)
 
 
 @partial(jax.jit, static_argnames="squares")
