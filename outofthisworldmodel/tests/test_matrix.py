@@ -1,9 +1,12 @@
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from owm.evaluation import matrix_workers
 from owm.evaluation.coasting import COAST, coasts_clear, transitions
 from owm.evaluation.conditions import CONDITIONS, Condition, condition
 from owm.evaluation.matrix import Matrix, Study, read_matrix, row_name, rows_of
@@ -122,17 +125,24 @@ def test_a_coast_called_clear_is_clear_of_the_boxes():
     np.testing.assert_allclose(still, np.tile([0.0, -50, 0], (int(COAST) + 1, 1)), atol=1e-4)
 
 
+# Ten seconds of a simple world: enough to see what is flown when, too little to dock.
+SIMPLE = Condition("simple", fidelity="iss", hidden={"precision": "float32", "horizon": 10.0})
+
+
+@pytest.fixture
+def small():
+    """Two policies to two ports, in one study."""
+    study = Study(title="Simple", policies=("PD", "drift"), against=("PD",), figures=True, trajectories=("PD",))
+    policies = {"PD": "dock", "drift": "random"}
+    return Matrix(flights=2, ports=("zvezda_aft", "unity_nadir"), policies=policies, studies=(study,))
+
+
 class Killed(Exception):
     pass
 
 
-def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
-    # Ten seconds of a simple world: enough to see what is flown when, too little to dock.
-    simple = Condition("simple", fidelity="iss", hidden={"precision": "float32", "horizon": 10.0})
-    study = Study(title="Simple", policies=("PD", "drift"), against=("PD",), figures=True, trajectories=("PD",))
-    matrix = Matrix(
-        flights=2, ports=("zvezda_aft", "unity_nadir"), policies={"PD": "dock", "drift": "random"}, studies=(study,)
-    )
+def test_a_killed_run_goes_on_and_other_settings_are_refused(small, tmp_path):
+    matrix, (study,), simple = small, small.studies, SIMPLE
     seen = []
 
     def kill(done, total, what, how_far):
@@ -168,6 +178,40 @@ def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
     assert results["pairs"][0]["both"] == 0 and len(results["rows"]) == 2
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 1 + 2 * 5
     assert str(tmp_path) not in text and str(Path.home()) not in text
+
+
+def test_processes_fly_the_same_as_one_and_one_that_dies_is_told_of(small, tmp_path, monkeypatch):
+    said, conditions = [], {"nominal": SIMPLE}
+    with monkeypatch.context() as patch:
+        patch.setattr(matrix_workers, "_fly", _one_port_and_die)
+        with pytest.raises(RuntimeError, match="what has landed is kept"):
+            run_matrix(small, tmp_path / "two", conditions=conditions, processes=2)
+    landed = {path.name for path in tmp_path.rglob("*.npz")}
+    assert landed == {"zvezda_aft.npz"}
+
+    flown = run_matrix(
+        small, tmp_path / "two", conditions=conditions, processes=2, report=lambda *now: said.append(now)
+    )
+    assert said[-1] == (8, 8, "all flown", "")
+    assert any(what.endswith("/2 rows, 2 processes") for _, _, what, _ in said)
+    alone = run_matrix(small, tmp_path / "one", conditions=conditions)
+    assert flown.keys() == alone.keys()
+    for key, (flights,) in flown.items():
+        np.testing.assert_array_equal(flights.digest, alone[key][0].digest)
+        np.testing.assert_allclose(flights.closest_distance, alone[key][0].closest_distance, rtol=1e-5)
+
+
+def test_processes_share_the_cores(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {2, 3, 5, 7}, raising=False)
+    assert matrix_workers.core_shares(2) == [[2, 3], [5, 7]]
+    assert matrix_workers.core_shares(5) == [[2], [3], [5], [7], [2, 3, 5, 7]]
+    monkeypatch.delattr(os, "sched_getaffinity")
+    assert matrix_workers.core_shares(2) == [[], []]
+
+
+def _one_port_and_die(store, slots):
+    store.fly("zvezda_aft", slots, lambda *_: None)
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_only_pairs_that_differ_get_a_line_and_all_count_for_their_p():

@@ -55,6 +55,7 @@ def evaluate_docking(
     slots: int = 50,
     out: Path = Path("runs/evaluate"),
     fresh: bool = False,
+    processes: int = 1,
 ) -> None:
     """Score policies by the evaluation protocol: identical starts, fourteen definitions of success.
 
@@ -68,12 +69,13 @@ def evaluate_docking(
         slots: Most flights side by side.
         out: Folder for flights, report and pictures; a killed run goes on where it was.
         fresh: Fly again what OUT holds of other settings.
+        processes: That fly, as for `owm evaluate matrix`.
     """
     _compilation_cache()
     from owm.commands import evaluate_docking as run
 
     scored = {"flights": flights, "ports": ports, "seed": seed, "shell": shell, "noise": noise}
-    run(policies, **scored, slots=slots, out=out, fresh=fresh)
+    run(policies, **scored, slots=slots, out=out, fresh=fresh, processes=processes)
 
 
 def evaluate_matrix(
@@ -82,6 +84,7 @@ def evaluate_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    processes: int = 1,
     prediction: Path | None = None,
 ) -> None:
     """Fly a declared table of policies, planner variants and conditions, and report on it.
@@ -92,12 +95,13 @@ def evaluate_matrix(
         slots: Most flights side by side.
         fresh: Fly again what OUT holds of other settings.
         fly: Or only report on what is complete.
+        processes: That fly, on equal shares of the cores: on a CPU faster than one on all of them.
         prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
     """
     _compilation_cache()
     from owm.commands import evaluate_matrix as run
 
-    run(table, out=out, slots=slots, fresh=fresh, fly=fly, prediction=prediction)
+    run(table, out=out, slots=slots, fresh=fresh, fly=fly, processes=processes, prediction=prediction)
 
 
 def evaluate_prediction(

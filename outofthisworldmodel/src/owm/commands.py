@@ -162,6 +162,7 @@ def evaluate_docking(
     slots: int = 50,
     out: Path = Path("runs/evaluate"),
     fresh: bool = False,
+    processes: int = 1,
 ) -> list[Flights]:
     """Score policies on identical starts; print tables, write a report, CSV, JSON and pictures.
 
@@ -175,6 +176,7 @@ def evaluate_docking(
         slots: most flights side by side.
         out: folder for the files.
         fresh: fly again what `out` holds of other settings.
+        processes: that fly, as for `evaluate_matrix`.
 
     Raises:
         ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset, or `out` holds flights of other
@@ -193,7 +195,9 @@ def evaluate_docking(
     conditions = {"nominal": Condition(f"{noise} noise, starts {shell} m out", shell, noise)}
     command = f"owm evaluate docking {' '.join(policies)} --flights {flights} --seed {seed} --shell {shell}"
     command += f" --noise {noise}" + (f" --ports {' '.join(ports)}" if ports else "")
-    files, flown = _run_and_report(matrix, Path(out), command, conditions=conditions, slots=slots, fresh=fresh)
+    files, flown = _run_and_report(
+        matrix, Path(out), command, conditions=conditions, slots=slots, fresh=fresh, processes=processes
+    )
     scored = [seeds[0] for seeds in flown.values()]
     files += write_results({each.policy: each for each in scored}, out)
     starts = check_identical_starts(scored)
@@ -212,6 +216,7 @@ def evaluate_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    processes: int = 1,
     prediction: Path | None = None,
 ) -> None:
     """Fly a declared table of policies, planner variants and conditions, and report on it.
@@ -222,15 +227,16 @@ def evaluate_matrix(
         slots: most flights side by side.
         fresh: fly again what `out` holds of other settings.
         fly: or only report on the rows that are complete.
+        processes: that fly, on equal shares of the cores.
         prediction: folder of `owm evaluate prediction`, for the report.
 
     Raises:
         ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
     """
     matrix, out = read_matrix(Path(table)), Path(out)
-    command = f"owm evaluate matrix {Path(table).name} --slots {slots}"
+    command = f"owm evaluate matrix {Path(table).name} --slots {slots} --processes {processes}"
     extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
-    files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly)
+    files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly, processes=processes)
     for study in matrix.studies:
         rows = [flown[key] for key in study_keys(matrix, study) if key in flown]
         if rows:

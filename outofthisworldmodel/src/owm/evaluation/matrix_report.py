@@ -266,8 +266,9 @@ def _run(matrix: Matrix, out: Path, commands: str) -> Iterator[Block]:
     seconds = sum(port["seconds"] for store in stores for port in store["ports"].values())
     yield Text(
         f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} "
-        f"processors; outofthisworldmodel {__version__}, {versions}. {seconds / 60:.0f} minutes of flying, compilation "
-        f"included, by source code of digest {', '.join(sources)}. Everything follows from seed {matrix.seed}."
+        f"processors; outofthisworldmodel {__version__}, {versions}. {seconds / 60:.0f} minutes of flying in all "
+        f"processes, compilation included, by source code of digest {', '.join(sources)}. Everything follows from seed "
+        f"{matrix.seed}."
     )
     yield Code(json.dumps(matrix.model_dump(mode="json", exclude_defaults=True), indent=1))
 

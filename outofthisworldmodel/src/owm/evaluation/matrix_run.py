@@ -18,6 +18,7 @@ from owm.evaluation.conditions import CONDITIONS, Condition
 from owm.evaluation.docking import fly_episodes, trials
 from owm.evaluation.flights import Flights, join
 from owm.evaluation.matrix import PLANNERS, Matrix, Row, row_name, rows_of
+from owm.evaluation.matrix_workers import fly_side_by_side, missing_flights, spell
 from owm.files import write_atomically
 from owm.planning.config import PlannerConfig
 from owm.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, load_model, load_policy
@@ -66,6 +67,7 @@ def run_matrix(
     slots: int = 50,
     fresh: bool = False,
     fly: bool = True,
+    processes: int = 1,
     report: Report = lambda *_: None,
 ) -> dict[tuple[str, str | None, str], list[Flights]]:
     """Fly what has not been flown, port by port, and read all of it.
@@ -77,6 +79,7 @@ def run_matrix(
         slots: most flights side by side; a port's flights all fly at once if they are no more.
         fresh: fly again what was flown with other settings, instead of refusing.
         fly: or only read the rows that are complete.
+        processes: that fly, a row each at a time, on equal shares of the cores.
         report: progress.
 
     Returns:
@@ -85,31 +88,44 @@ def run_matrix(
     Raises:
         ValueError: a condition or policy is unknown, or the folder holds flights of other settings.
         FileNotFoundError: there is no policy at a path.
+        RuntimeError: one of several processes has died.
     """
-    if slots < 1:
-        raise ValueError(f"slots must be at least 1, got {slots}")
+    if min(slots, processes) < 1:
+        raise ValueError(f"slots and processes must be at least 1, got {slots} and {processes}")
     rows = rows_of(matrix)
     for row in rows:
         if row.condition not in conditions:
             raise ValueError(unknown("condition", row.condition, conditions))
     stores = [Store(out, row, conditions[row.condition], matrix, fresh=fresh) for row in rows]
-    pace = Pace()
-    to_fly = [store for store in stores if fly and store.row.planner and store.missing()]
-    for source, told in {store.row.source: store.condition.told() for store in to_fly}.items():
+    to_fly = [store for store in stores if fly and store.missing()]
+    planned = {store.row.source: store.condition.told() for store in to_fly if store.row.planner}
+    for source, told in planned.items():
         load_model(source, told)  # so that one that cannot be read is told of now, not after an hour of flying
+    total = sum(row.flights for row in rows) * len(matrix.ports)
+    if processes > 1 and to_fly:
+        fly_side_by_side(to_fly, slots, processes, lambda left, *what: report(total - left, total, *what))
+    else:
+        _fly_in_turn(stores, to_fly, slots, total, report)
+    flown: dict[tuple, list[Flights]] = {}
+    for store in stores:
+        if not store.missing():
+            flown.setdefault(store.row.key, []).append(store.load())
+    done = total - missing_flights(stores)
+    report(done, total, "all flown" if done == total else "the rest has not been flown", "")
+    return flown
+
+
+def _fly_in_turn(stores: list["Store"], to_fly: list["Store"], slots: int, total: int, report: Report) -> None:
+    pace = Pace()
     for store in stores:
         for seconds in store.seconds.values():
             pace.add(store.row, seconds, store.row.flights)
-    total = sum(row.flights for row in rows) * len(matrix.ports)
-    flown: dict[tuple, list[Flights]] = {}
-    for number, store in enumerate(stores):
-        if not fly and store.missing():
-            continue
+    for store in to_fly:
         for port in store.missing():
-            left = pace.left([(s.row, s.row.flights * len(s.missing())) for s in stores])
-            done = total - sum(s.row.flights * len(s.missing()) for s in stores)
-            ahead = "" if left is None else f", about {_spell(left)} left"
-            note = f"row {number + 1}/{len(rows)}: {row_name(*store.row.key)} to {port}{ahead}"
+            left = pace.left([(s.row, s.row.flights * len(s.missing())) for s in to_fly])
+            done = total - missing_flights(to_fly)
+            ahead = "" if left is None else f", about {spell(left)} left"
+            note = f"row {stores.index(store) + 1}/{len(stores)}: {row_name(*store.row.key)} to {port}{ahead}"
             report(done, total, note, "")
 
             def told(before, decision, decisions, running, done=done, note=note):
@@ -117,10 +133,6 @@ def run_matrix(
 
             pace.add(store.row, store.fly(port, slots, told), store.row.flights)
         store.policy = None  # its slots and programs are of no more use
-        flown.setdefault(store.row.key, []).append(store.load())
-    done = sum(row.flights for row in rows if row.key in flown) * len(matrix.ports)
-    report(done, total, "all flown" if done == total else "the rest has not been flown", "")
-    return flown
 
 
 class Store:
@@ -221,7 +233,3 @@ def _field(change):
     from owm_envs.station import hull_boxes
 
     return load_field(boxes=None if change is None else change(hull_boxes()))
-
-
-def _spell(seconds: float) -> str:
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

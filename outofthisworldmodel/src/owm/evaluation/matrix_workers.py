@@ -1,0 +1,94 @@
+"""Rows of a matrix flown in processes side by side, each on cores of its own.
+
+On a CPU that is faster than one process on all cores: a program's short loops gain little from a second core.
+"""
+
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+
+import jax
+import numpy as np
+
+_CACHE = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+
+
+def fly_side_by_side(
+    stores: Sequence, slots: int, processes: int, report: Callable[[int, str, str], None], poll: float = 1.0
+) -> None:
+    """Fly what stores miss, a row to a process at a time.
+
+    Args:
+        stores: of rows with flights missing.
+        slots: most flights side by side in each process.
+        processes: how many; each is held to its share of the cores, if there are enough.
+        report: called with the flights of these rows that are missing, which row, and how far.
+        poll: seconds between reports.
+
+    Raises:
+        RuntimeError: a process has died. What had landed is kept.
+    """
+    context = multiprocessing.get_context("spawn")
+    shares = context.SimpleQueue()
+    for share in core_shares(processes):
+        shares.put(share)
+    cache = {name: getattr(jax.config, name) for name in _CACHE}
+    began, at_first = time.monotonic(), missing_flights(stores)
+    with ProcessPoolExecutor(processes, context, _settle, (shares, cache)) as pool:
+        flying = {pool.submit(_fly, store, slots) for store in stores}
+        try:
+            while flying:
+                ended, flying = wait(flying, timeout=poll, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    future.result()
+                missing = missing_flights(stores)
+                landed = at_first - missing
+                seconds = missing * (time.monotonic() - began) / landed if landed else None
+                left = "compiling" if seconds is None else f"about {spell(seconds)} left"
+                report(missing, f"{len(stores) - len(flying)}/{len(stores)} rows, {processes} processes", left)
+        except BrokenProcessPool:
+            raise RuntimeError(
+                "a process that flew has died, of memory perhaps; what has landed is kept: run it again"
+            ) from None
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)  # those that fly end their row
+
+
+def missing_flights(stores: Sequence) -> int:
+    """Flights that have not landed."""
+    return sum(store.row.flights * len(store.missing()) for store in stores)
+
+
+def spell(seconds: float) -> str:
+    """A time as people say it."""
+    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
+
+
+def core_shares(count: int) -> list[list[int]]:
+    """The cores that this process may use, shared out; all to who would get none, none where they cannot be named."""
+    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+    return [share.tolist() or cores for share in np.array_split(cores, count)]
+
+
+def _settle(shares, cache: dict) -> None:
+    """Hold a new process to its cores, before JAX counts them, and to the life of the one that watches it."""
+    share = shares.get()
+    if share:
+        os.sched_setaffinity(0, share)
+    for name, value in cache.items():
+        jax.config.update(name, value)
+
+    def follow():
+        multiprocessing.parent_process().join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _fly(store, slots: int) -> None:
+    for port in store.missing():
+        store.fly(port, slots, lambda *_: None)
