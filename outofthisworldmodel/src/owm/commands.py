@@ -10,8 +10,8 @@ from owm.console import announce, bar, console, flying, print_table
 from owm.evaluation.conditions import CONDITIONS, Condition
 from owm.evaluation.docking import check_identical_starts, evaluation_config, fly_episodes, trials
 from owm.evaluation.flights import Flights, write_results
-from owm.evaluation.matrix import Matrix, Study, read_matrix, study_keys
-from owm.evaluation.matrix_report import write_matrix_report
+from owm.evaluation.matrix import Matrix, Study, read_matrix
+from owm.evaluation.matrix_report import rows_flown, write_matrix_report
 from owm.evaluation.matrix_run import run_matrix
 from owm.evaluation.plots import save_figure, trajectory_figure
 from owm.evaluation.prediction import PredictionError, prediction_error
@@ -238,9 +238,8 @@ def evaluate_matrix(
     extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
     files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly, processes=processes)
     for study in matrix.studies:
-        rows = [flown[key] for key in study_keys(matrix, study) if key in flown]
-        if rows:
-            print_table(docking_table(rows), study.title)
+        if rows := rows_flown(matrix, study, flown):
+            print_table(docking_table(list(rows.values())), study.title)
     for file in files:
         print(file)
 

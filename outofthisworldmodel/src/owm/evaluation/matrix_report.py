@@ -67,7 +67,7 @@ def write_matrix_report(
     comparisons = {}
     blocks: list[Block] = [Text(_opening(matrix, flown, conditions))]
     for study in matrix.studies:
-        wanted = _wanted(matrix, study, flown)
+        wanted = rows_flown(matrix, study, flown)
         comparisons[study.title] = compare(matrix, study, wanted)
         blocks += _study(matrix, study, wanted, out / "figures", conditions, comparisons[study.title])
     blocks += [*_given(matrix, flown), *_paper(matrix, flown), *extra, *_run(matrix, out, commands)]
@@ -75,7 +75,7 @@ def write_matrix_report(
     return [*files, _write_csv(flown, out), _write_json(matrix, flown, out, comparisons)]
 
 
-def _wanted(matrix: Matrix, study: Study, flown: Flown) -> Flown:
+def rows_flown(matrix: Matrix, study: Study, flown: Flown) -> Flown:
     """A study's rows, and of those that another study flies more often the first trials of each port."""
     rows = {}
     for key in study_keys(matrix, study):
