@@ -32,6 +32,10 @@ class Windows(NamedTuple):
     action: Float[Array, "B L-1 6"]
     truth: Float[Array, "B L 13"]
 
+    def last(self, length: int) -> "Windows":
+        """The last `length` views of each."""
+        return Windows(self.observation[:, -length:], self.action[:, 1 - length :], self.truth[:, -length:])
+
 
 @dataclass(frozen=True)
 class Episodes:

@@ -46,7 +46,8 @@ def evaluate_prediction(
     """Score open-loop predictions of behaviour and of planner-style flights; print tables, write JSON and pictures.
 
     Args:
-        models: of `NAMED`, or folders of checkpoints; `BASELINES` are scored beside them.
+        models: of `NAMED`, or folders of checkpoints; `BASELINES` are scored beside them on the same instants, the
+            filter with the longest of their histories.
         data: datasets.
         split: one of theirs; by default the flights that training sets aside.
         windows: of each kind in each dataset, for the errors.
@@ -79,22 +80,24 @@ def evaluate_prediction(
                 continue
             group = f"{Path(path).name}, {kind}"
             held = HELD_COMMANDS if kind == "planner-style" else RECORDED_COMMANDS
-            names = dict.fromkeys((*models, *BASELINES))
+            asked = [predictor(name, config, train, held) for name in dict.fromkeys(models)]
+            history = max((model.history_length for model in asked), default=ErrorStateEKF.history_length)
+            beside = [predictor(name, config, train, held, history) for name in BASELINES if name not in models]
             errors[group], spreads[group] = [], []
             with bar(f"predicting {group}", "models") as update:
-                for done, name in enumerate(names):
-                    update(done, len(names), name)
-                    model = predictor(name, config, train, held)
-                    length = model.history_length + max(HORIZONS)
+                for done, model in enumerate(scored := [*asked, *beside]):
+                    update(done, len(scored), model.name)
+                    # The same instants for all, whatever each wants to know of what went before.
+                    whole, own = history + max(HORIZONS), model.history_length + max(HORIZONS)
                     with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
-                        drawn = part.windows(length, windows, seed=seed)
+                        drawn = part.windows(whole, windows, seed=seed).last(own)
                         errors[group].append(prediction_error(model, drawn, HORIZONS))
                         if outcome := sampled_outcome(model):
-                            drawn = part.windows(length, spread_windows, seed=seed + 1)
+                            drawn = part.windows(whole, spread_windows, seed=seed + 1).last(own)
                             spreads[group].append(
                                 calibration(model, drawn, SPREAD_HORIZONS, samples=samples, outcome=outcome, seed=seed)
                             )
-                update(len(names), len(names))
+                update(len(scored), len(scored))
             print_table(error_table(errors[group]), f"{group}: mean prediction error")
             if spreads[group]:
                 print_table(calibration_table(spreads[group]), f"{group}: samples against outcomes")
@@ -121,7 +124,13 @@ def write_predictions(
     return files
 
 
-def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: tuple[float, ...]) -> Any:
+def predictor(
+    name: str,
+    config: DockingConfig,
+    train: Episodes,
+    process_noise: tuple[float, ...],
+    history_length: int = ErrorStateEKF.history_length,
+) -> Any:
     """Return a world model by its name or folder.
 
     Args:
@@ -129,6 +138,7 @@ def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: 
         config: what the dataset was recorded in: exact dynamics and filter are told of it.
         train: what least squares is fitted to.
         process_noise: of the filter.
+        history_length: measurements that the filter starts from.
 
     Raises:
         ValueError, FileNotFoundError: there is no such model.
@@ -136,7 +146,7 @@ def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: 
     if name == "constant-velocity":
         return ConstantVelocity()
     if name == "ekf":
-        return ErrorStateEKF(config, process_noise=process_noise)
+        return ErrorStateEKF(config, process_noise=process_noise, history_length=history_length)
     if name == "exact":
         return ExactDynamics(config.fidelity, config)
     if name in ("least-squares", "least-squares-action-only"):

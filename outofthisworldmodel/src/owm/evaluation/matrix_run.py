@@ -90,8 +90,9 @@ def run_matrix(
         FileNotFoundError: there is no policy at a path.
         RuntimeError: one of several processes has died.
     """
-    if min(slots, processes) < 1:
-        raise ValueError(f"slots and processes must be at least 1, got {slots} and {processes}")
+    for name, count in (("slots", slots), ("processes", processes)):
+        if count < 1:
+            raise ValueError(f"{name} must be at least 1, got {count}")
     rows = rows_of(matrix)
     for row in rows:
         if row.condition not in conditions:

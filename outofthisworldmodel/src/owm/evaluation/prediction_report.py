@@ -21,7 +21,10 @@ def prediction_blocks(folder: Path, figures: Path) -> Iterator[Block]:
     """
     rows = json.loads((folder / "prediction.json").read_text(encoding="utf-8"))
     yield Heading("Prediction")
-    yield Text("Open loop under the true future actions, against the noiseless truth; means over windows.")
+    yield Text(
+        "Open loop under the true future actions, against the noiseless truth; means over windows of the same instants "
+        "for all. The filter starts from as many measurements as the model with the longest history."
+    )
     for group, some in _grouped(rows["error"]).items():
         yield Heading(f"Prediction errors: {group}", 3)
         columns = ["m / m/s / deg / deg/s at", *(f"{s:g} s" for s in _SECONDS)]
