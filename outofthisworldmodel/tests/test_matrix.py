@@ -1,8 +1,8 @@
 import json
 import os
-import signal
 from pathlib import Path
 
+import mortal
 import numpy as np
 import pytest
 
@@ -189,7 +189,7 @@ def test_a_killed_run_goes_on_and_other_settings_are_refused(small, tmp_path):
 def test_processes_fly_the_same_as_one_and_one_that_dies_is_told_of(small, tmp_path, monkeypatch):
     said, conditions = [], {"nominal": SIMPLE}
     with monkeypatch.context() as patch:
-        patch.setattr(matrix_workers, "_fly", _one_port_and_die)
+        patch.setattr(matrix_workers, "_fly", mortal.fly_one_port_and_die)
         with pytest.raises(RuntimeError, match="what has landed is kept"):
             run_matrix(small, tmp_path / "two", conditions=conditions, processes=2)
     landed = {path.name for path in tmp_path.rglob("*.npz")}
@@ -214,11 +214,6 @@ def test_processes_share_the_cores(monkeypatch):
     assert matrix_workers.core_shares(5) == [[2], [3], [5], [7], [2, 3, 5, 7]]
     monkeypatch.delattr(os, "sched_getaffinity")
     assert matrix_workers.core_shares(2) == [[], []]
-
-
-def _one_port_and_die(store, slots):
-    store.fly("zvezda_aft", slots, lambda *_: None)
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_only_pairs_that_differ_get_a_line_and_all_count_for_their_p():
