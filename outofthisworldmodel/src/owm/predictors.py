@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -80,12 +81,12 @@ def evaluate_prediction(
                 continue
             group = f"{Path(path).name}, {kind}"
             held = HELD_COMMANDS if kind == "planner-style" else RECORDED_COMMANDS
-            asked = [predictor(name, config, train, held) for name in dict.fromkeys(models)]
-            history = max((model.history_length for model in asked), default=ErrorStateEKF.history_length)
-            beside = [predictor(name, config, train, held, history) for name in BASELINES if name not in models]
+            named = {name: predictor(name, config, train, held) for name in (*models, *BASELINES)}
+            history = max(model.history_length for model in named.values())
+            scored = (named | {"ekf": replace(named["ekf"], history_length=history)}).values()
             errors[group], spreads[group] = [], []
             with bar(f"predicting {group}", "models") as update:
-                for done, model in enumerate(scored := [*asked, *beside]):
+                for done, model in enumerate(scored):
                     update(done, len(scored), model.name)
                     # The same instants for all, whatever each wants to know of what went before.
                     whole, own = history + max(HORIZONS), model.history_length + max(HORIZONS)
@@ -124,13 +125,7 @@ def write_predictions(
     return files
 
 
-def predictor(
-    name: str,
-    config: DockingConfig,
-    train: Episodes,
-    process_noise: tuple[float, ...],
-    history_length: int = ErrorStateEKF.history_length,
-) -> Any:
+def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: tuple[float, ...]) -> Any:
     """Return a world model by its name or folder.
 
     Args:
@@ -138,7 +133,6 @@ def predictor(
         config: what the dataset was recorded in: exact dynamics and filter are told of it.
         train: what least squares is fitted to.
         process_noise: of the filter.
-        history_length: measurements that the filter starts from.
 
     Raises:
         ValueError, FileNotFoundError: there is no such model.
@@ -146,7 +140,7 @@ def predictor(
     if name == "constant-velocity":
         return ConstantVelocity()
     if name == "ekf":
-        return ErrorStateEKF(config, process_noise=process_noise, history_length=history_length)
+        return ErrorStateEKF(config, process_noise=process_noise)
     if name == "exact":
         return ExactDynamics(config.fidelity, config)
     if name in ("least-squares", "least-squares-action-only"):
