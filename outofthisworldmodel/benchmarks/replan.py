@@ -20,8 +20,8 @@ from owm.model.config import preset
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.policy import PlannerPolicy
-from owm_envs.adapters.batch import core_count
 from owm_envs.config import load_config
+from owm_envs.cores import core_count
 from owm_envs.geodesic import load_field, solve_field
 from owm_envs.station import PORTS, goal_poses, hull_boxes
 

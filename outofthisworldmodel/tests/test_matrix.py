@@ -1,5 +1,4 @@
 import json
-import os
 from pathlib import Path
 
 import mortal
@@ -206,14 +205,6 @@ def test_processes_fly_the_same_as_one_and_one_that_dies_is_told_of(small, tmp_p
         np.testing.assert_array_equal(flights.digest, alone[key][0].digest)
         if key[0] == "PD":  # drift draws on from port to port
             np.testing.assert_allclose(flights.closest_distance, alone[key][0].closest_distance, rtol=1e-5)
-
-
-def test_processes_share_the_cores(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {2, 3, 5, 7}, raising=False)
-    assert matrix_workers.core_shares(2) == [[2, 3], [5, 7]]
-    assert matrix_workers.core_shares(5) == [[2], [3], [5], [7], [2, 3, 5, 7]]
-    monkeypatch.delattr(os, "sched_getaffinity")
-    assert matrix_workers.core_shares(2) == [[], []]
 
 
 def test_only_pairs_that_differ_get_a_line_and_all_count_for_their_p():

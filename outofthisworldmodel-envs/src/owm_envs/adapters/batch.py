@@ -3,9 +3,7 @@
 All calls run in JAX's 64-bit mode, whatever the caller's; the state is opaque between calls.
 """
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -17,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 from astrojax.compilation import compiler_options
 from owm_envs.adapters.packing import Packing
 from owm_envs.config import DockingConfig
+from owm_envs.cores import core_count, workers
 from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
 from owm_envs.params import Params
@@ -63,22 +62,20 @@ class BatchProgram:
         """Compilations so far by program, for tests and reports."""
         return self._programs.traces
 
-    def keys(self, seeds: list[int]) -> jax.Array:
-        """One key per slot from its seed; a seed may have up to 64 bits."""
-        return seed_keys(seeds)
+    def keys(self, seeds: list[int]) -> np.ndarray:
+        """One key (B, 2) per slot from its seed, as words; a seed may have up to 64 bits."""
+        return seed_words(seeds)
 
-    def next_keys(self, state: State) -> jax.Array:
-        """The key (B,) from which each slot's next episode starts."""
-        with jax.enable_x64(True):
-            return jnp.concatenate([self._programs.unpack_state(piece).next_key for piece in state])
+    def next_keys(self, state: State) -> np.ndarray:
+        """The key (B, 2) from which each slot's next episode starts."""
+        return self.to_host(state).next_key
 
-    def choose_keys(self, seeded: np.ndarray, seeds: list[int], state: State) -> jax.Array:
+    def choose_keys(self, seeded: np.ndarray, seeds: list[int], state: State) -> np.ndarray:
         """The key of its seed for each slot that is seeded, that of the next episode for the others."""
-        with jax.enable_x64(True):
-            return jnp.where(seeded, self.keys(seeds), self.next_keys(state))
+        return np.where(seeded[:, None], self.keys(seeds), self.next_keys(state))
 
     def reset(self, keys, ports) -> tuple[State, np.ndarray, dict[str, np.ndarray]]:
-        """Start an episode in every slot: keys (B,), ports (B,) with -1 for a drawn one."""
+        """Start an episode in every slot: keys (B, 2), ports (B,) with -1 for a drawn one."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(lambda k, part: self._programs.reset(self._packed, keys[part], ports[part]))
         return state, *self._programs.of_seen.unpack(host)
@@ -177,16 +174,19 @@ class _Programs:
     def _seen(self, params, state, observation):
         return self.of_seen.pack((observation, jax.vmap(self.env.info, (None, 0))(params, state)))
 
+    def _start(self, params, words, ports):
+        return jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(_typed(words), ports)
+
     def _reset_batch(self, params, keys, ports):
         self.traces["reset"] += 1
         params = self._unpack_params(params)
-        state, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
+        state, observation = self._start(params, keys, ports)
         return self._pack_state(state), self._seen(params, state, observation)
 
     def _reset_masked(self, params, state, mask, keys, ports):
         self.traces["reset_where"] += 1
         params = self._unpack_params(params)
-        fresh, observation = jax.vmap(lambda key, port: self.env.reset(params, key=key, port=port))(keys, ports)
+        fresh, observation = self._start(params, keys, ports)
         state = select(mask, fresh, self.unpack_state(state))
         return self._pack_state(state), self._seen(params, state, observation)
 
@@ -221,27 +221,20 @@ def piece_count(num_envs: int) -> int:
     return max(fits, default=1)
 
 
-def core_count() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@lru_cache(maxsize=1)
-def workers() -> ThreadPoolExecutor:
-    """Threads, one to a core, for compiled programs that run side by side."""
-    return ThreadPoolExecutor(core_count(), thread_name_prefix="owm_envs")
-
-
 def joined(pieces: Sequence[Any]) -> Any:
     """Pieces of a batch as one, leaf by leaf; always arrays of their own, which a caller may change."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
 
 
+def seed_words(seeds: list[int]) -> np.ndarray:
+    """The words (B, 2) of one key per seed, of up to 64 bits."""
+    return np.asarray([[seed >> 32 & 0xFFFFFFFF, seed & 0xFFFFFFFF] for seed in seeds], np.uint32)
+
+
 def seed_keys(seeds: list[int]) -> jax.Array:
     """One key per seed, of up to 64 bits."""
     with jax.enable_x64(True):
-        words = np.asarray([[seed >> 32 & 0xFFFFFFFF, seed & 0xFFFFFFFF] for seed in seeds], np.uint32)
-        return jax.random.wrap_key_data(words, impl="threefry2x32")
+        return _typed(seed_words(seeds))
 
 
 def select(mask, new, old):
@@ -256,10 +249,11 @@ def key_words(state: EnvState) -> EnvState:
 
 def typed_keys(state: EnvState) -> EnvState:
     """The inverse of `key_words`."""
-    return state._replace(
-        noise_key=jax.random.wrap_key_data(state.noise_key, impl="threefry2x32"),
-        next_key=jax.random.wrap_key_data(state.next_key, impl="threefry2x32"),
-    )
+    return state._replace(noise_key=_typed(state.noise_key), next_key=_typed(state.next_key))
+
+
+def _typed(words) -> jax.Array:
+    return jax.random.wrap_key_data(words, impl="threefry2x32")
 
 
 def state_to_host(state: EnvState) -> Any:

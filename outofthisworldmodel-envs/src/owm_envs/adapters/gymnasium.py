@@ -262,8 +262,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
     def step(self, actions):
         """Hold one action (num_envs, 6) per slot for one decision."""
         actions = self._actions(actions, (self.num_envs, 6))
-        broken = np.flatnonzero(~np.isfinite(actions).all(axis=1))
-        if broken.size:
+        if not np.isfinite(actions).all():
+            broken = np.flatnonzero(~np.isfinite(actions).all(axis=1))
             gymnasium.logger.warn(f"the actions of slots {broken.tolist()} are not finite: their episodes end")
         was_ended = self._ended if self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP else None
         self._state, output = self._program.step(self._state, actions)
@@ -319,7 +319,7 @@ def _autoreset_mode(mode) -> AutoresetMode:
 
 
 def _named(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {**info, "port": _PORTS[info["port"]], "outcome": _OUTCOMES[info["outcome"]]}
+    return {**info, "port": _PORTS.take(info["port"]), "outcome": _OUTCOMES.take(info["outcome"])}
 
 
 def _scalar_info(info: dict[str, np.ndarray]) -> dict[str, Any]:

@@ -11,10 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 
-import jax
-import numpy as np
-
-_CACHE = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+from owm_envs.cores import core_shares, settings, settle
 
 
 def fly_side_by_side(
@@ -36,9 +33,8 @@ def fly_side_by_side(
     shares = context.SimpleQueue()
     for share in core_shares(processes):
         shares.put(share)
-    cache = {name: getattr(jax.config, name) for name in _CACHE}
     began, at_first = time.monotonic(), missing_flights(stores)
-    with ProcessPoolExecutor(processes, context, _settle, (shares, cache)) as pool:
+    with ProcessPoolExecutor(processes, context, _settle, (shares, settings())) as pool:
         flying = {pool.submit(_fly, store, slots) for store in stores}
         try:
             while flying:
@@ -68,19 +64,9 @@ def spell(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
 
 
-def core_shares(count: int) -> list[list[int]]:
-    """The cores that this process may use, shared out; all to who would get none, none where they cannot be named."""
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
-    return [share.tolist() or cores for share in np.array_split(cores, count)]
-
-
-def _settle(shares, cache: dict) -> None:
-    """Hold a new process to its cores, before JAX counts them, and to the life of the one that watches it."""
-    share = shares.get()
-    if share:
-        os.sched_setaffinity(0, share)
-    for name, value in cache.items():
-        jax.config.update(name, value)
+def _settle(shares, taken_over: dict) -> None:
+    """Hold a new process to its cores, and to the life of the one that watches it."""
+    settle(shares.get(), taken_over)
 
     def follow():
         multiprocessing.parent_process().join()

@@ -14,8 +14,8 @@ from astrojax.compilation import compiler_options
 from owm.model.interface import History, WorldModel
 from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, init_planner, plan
-from owm_envs.adapters.batch import workers
 from owm_envs.config import DockingConfig
+from owm_envs.cores import workers
 from owm_envs.env import DockingEnv
 from owm_envs.geodesic import GeodesicField, field_rows
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
