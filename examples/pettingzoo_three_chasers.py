@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from owm_envs.geodesic import load_field
+from owm_envs.field import load_field
 from owm_envs.pettingzoo import parallel_env
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.station import hull_boxes

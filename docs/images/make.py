@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from owm.evaluation.flights import Flights
+from owm.scores.flights import Flights
 from owm_envs.render.schematic import draw_schematic
 from owm_envs.station import goal_poses, hull_boxes, port_index
 from owm_envs.station.picture import draw_station

@@ -15,8 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from owm_envs.config import FIDELITIES
-from owm_envs.env import DockingEnv
-from owm_envs.fleet import FleetEnv
+from owm_envs.env import DockingEnv, FleetEnv
 
 STEPS = 50
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from owm_envs.config import load_config
-from owm_envs.params import params_from_config
+from owm_envs.config.params import params_from_config
 from owm_envs.task.actuators import actuators_at_rest, deliver
 
 LIMIT = np.array([1600.0] * 3 + [2000.0] * 3)

@@ -9,8 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from owm_envs.config import CONFIG_PRESETS, NOISE_PRESETS, REWARD_PRESETS, DockingConfig, load_config
-from owm_envs.config_text import fields, json_schema, note
-from owm_envs.params import params_from_config
+from owm_envs.config.params import params_from_config
+from owm_envs.config.text import fields, json_schema, note
 from owm_envs.station import save_hull
 
 
@@ -73,8 +73,8 @@ NAMES_OF_PORTS = st.lists(st.sampled_from(DockingConfig().ports), min_size=1, ma
 @given(st.data())
 def test_toml_round_trip_of_any_field(data):
     """Any field may take any value its schema allows, and TOML gives it back to the last bit."""
-    path = data.draw(st.sampled_from(sorted(fields())))
-    value = data.draw(NAMES_OF_PORTS if path == ("ports",) else _values(fields()[path]))
+    path = data.draw(st.sampled_from(sorted(fields(DockingConfig))))
+    value = data.draw(NAMES_OF_PORTS if path == ("ports",) else _values(fields(DockingConfig)[path]))
     nested = value
     for name in reversed(path):
         nested = {name: nested}
@@ -87,20 +87,20 @@ def test_toml_round_trip_of_any_field(data):
         assert DockingConfig.model_validate(tomllib.loads(config.to_toml(notes=notes))) == config
 
 
-@pytest.mark.parametrize("path", sorted(fields()), ids=".".join)
+@pytest.mark.parametrize("path", sorted(fields(DockingConfig)), ids=".".join)
 def test_every_number_has_its_unit(path):
-    kinds = str(fields()[path])
+    kinds = str(fields(DockingConfig)[path])
     if path != ("forces", "zonal_degree") and ("'number'" in kinds or "'integer'" in kinds):
-        assert "'unit'" in kinds and note(path)
+        assert "'unit'" in kinds and note(DockingConfig, path)
 
 
 def test_notes_tell_unit_and_bounds():
-    assert note(("chaser", "mass")) == "kg, > 0"
-    assert note(("chaser", "inertia")) == "kg m2, > 0"
-    assert note(("reset", "attitude_error_deg")) == "deg, >= 0, <= 180"
-    assert note(("chief", "eccentricity")) == "dimensionless, >= 0, < 1"
-    assert note(("fidelity",)) == "one of iss, iss-hcw, iss-numerical"
-    schema = json_schema()
+    assert note(DockingConfig, ("chaser", "mass")) == "kg, > 0"
+    assert note(DockingConfig, ("chaser", "inertia")) == "kg m2, > 0"
+    assert note(DockingConfig, ("reset", "attitude_error_deg")) == "deg, >= 0, <= 180"
+    assert note(DockingConfig, ("chief", "eccentricity")) == "dimensionless, >= 0, < 1"
+    assert note(DockingConfig, ("fidelity",)) == "one of iss, iss-hcw, iss-numerical"
+    schema = json_schema(DockingConfig)
     mass = schema["$defs"]["ChaserConfig"]["properties"]["mass"]
     assert (mass["unit"], mass["exclusiveMinimum"], mass["default"]) == ("kg", 0, 12_000.0)
     assert {"enum": ["none", "cooperative", "noncooperative"]} in schema["properties"]["noise"]["anyOf"]
@@ -111,7 +111,7 @@ def test_every_number_reaches_the_parameters():
     aside = {"fidelity", "goal_error", "normalize", "precision", "steps_per_action", "collision_terminates", "forces"}
     with jax.enable_x64(True):
         base, plain = DockingConfig(), jax.tree.leaves(params_from_config(DockingConfig()))
-        for path in fields():
+        for path in fields(DockingConfig):
             if path[0] in aside or path == ("chaser", "thrusters"):
                 continue
             section = base.model_dump() if len(path) == 1 else base.model_dump()[path[0]]
@@ -164,7 +164,7 @@ def test_a_hull_of_one_s_own(tmp_path):
         load_config(hull=[[[0.0] * 3, [0.0] * 3]])
 
 
-def test_overrides_win_over_a_mapping_and_merge_into_nested_fields():
+def test_overrides_win_over_a_mapping_and_merge_into_nested_fields(DockingConfig):
     config = load_config({"reset": {"radius_min": 110.0}, "dt": 0.1}, dt=0.05, reset={"radius_max": 120.0})
     assert (config.dt, config.reset.radius_min, config.reset.radius_max) == (0.05, 110.0, 120.0)
 

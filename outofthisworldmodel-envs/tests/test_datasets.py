@@ -13,9 +13,10 @@ import pytest
 from owm_envs import datasets
 from owm_envs.config import load_config
 from owm_envs.datasets.generate import Request, generate, train_flights, val_flights
-from owm_envs.datasets.schema import FEATURES, POLICY_NAMES, Episode, columns_from_episode
+from owm_envs.datasets.schema import FEATURES, columns_from_episode
 from owm_envs.datasets.statistics import aggregate, episode_statistics
 from owm_envs.datasets.writer import SplitWriter
+from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS, goal_poses
 from owm_envs.task.events import Outcome
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from owm_envs.config import load_config
-from owm_envs.fleet import START_SEPARATION, FleetEnv, FleetLayout, FleetState, assign_ports
-from owm_envs.params import params_from_config
+from owm_envs.config.params import params_from_config
+from owm_envs.env import START_SEPARATION, FleetEnv, FleetLayout, FleetState, assign_ports
 from owm_envs.policies import make_policy
 from owm_envs.station import PORTS, port_index
 from owm_envs.task.events import Outcome

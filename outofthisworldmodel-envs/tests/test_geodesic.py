@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from owm_envs.geodesic import FieldConfig, clearance, cost_to_go, load_field, solve_field
+from owm_envs.field import FieldConfig, clearance, cost_to_go, load_field, solve_field
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
 
 COARSE = FieldConfig(fine_spacing=2.0, coarse_spacing=16.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_rotate
-from owm_envs.datasets.schema import POLICY_NAMES
 from owm_envs.env import DockingEnv
+from owm_envs.episode import POLICY_NAMES
 from owm_envs.policies import VectorPolicy, make_policy
-from owm_envs.policies.scripted import pointing_error, read_view
+from owm_envs.policies.base import pointing_error, read_view
 from owm_envs.rollout import rollout
 from owm_envs.station import PORTS, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
@@ -25,8 +25,8 @@ def env():
 
 @pytest.fixture(scope="module")
 def policies(env):
-    from owm_envs.eikonal import FieldConfig
-    from owm_envs.geodesic import solve_field
+    from owm_envs.field import solve_field
+    from owm_envs.field.eikonal import FieldConfig
 
     # The most open port and the most hidden one, which stand first: solving takes a second a port.
     # In the other order than the ports, so that a policy must look up which row is whose.

@@ -5,8 +5,8 @@ import pytest
 
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_rotate
 from owm_envs.config import load_config
+from owm_envs.config.params import params_from_config
 from owm_envs.env import DockingEnv
-from owm_envs.params import params_from_config
 from owm_envs.rollout import _start
 from owm_envs.task.randomization import draw, episode_params
 

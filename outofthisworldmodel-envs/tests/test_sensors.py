@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from owm_envs.config import load_config
+from owm_envs.config.params import params_from_config
 from owm_envs.env import DockingEnv
-from owm_envs.params import params_from_config
 from owm_envs.task.sensors import advance_bias, measure, start_bias
 
 BIAS = {"position": 0.3, "velocity": 0.02, "attitude": 1e-3, "rate": 2e-4, "correlation_time": 20.0}

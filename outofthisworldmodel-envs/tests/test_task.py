@@ -5,7 +5,7 @@ import pytest
 
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm_envs.config import REWARD_PRESETS, load_config
-from owm_envs.params import params_from_config
+from owm_envs.config.params import params_from_config
 from owm_envs.station import TRAIN_PORTS, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.observation import ObservationLayout

@@ -22,7 +22,7 @@ from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.planning.policy import PlannerPolicy
 from owm_envs.config import load_config
 from owm_envs.cores import core_count
-from owm_envs.geodesic import load_field, solve_field
+from owm_envs.field import load_field, solve_field
 from owm_envs.station import PORTS, goal_poses, hull_boxes
 
 

@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import synthetic
 
-from owm.data import Episodes, from_episodes
+from owm.data.windows import Episodes, from_episodes
 
 
 @pytest.fixture(scope="session")

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_normalize, quat_rotate
-from owm.model.interface import History
-from owm_envs.geodesic import FieldConfig, GeodesicField, solve_field
+from owm.interface import History
+from owm_envs.field import FieldConfig, GeodesicField, solve_field
 from owm_envs.station import PORTS, goal_poses
 
 PORT = 0

@@ -125,7 +125,7 @@ def replay(view, action, steps):
 
 
 def episodes(seed, count, seconds=90.0, policies=POLICIES, orbital=1.0, noise=1.0):
-    """Return `count` recorded episodes as objects with the fields that `owm.data.from_episodes` reads."""
+    """Return `count` recorded episodes as objects with the fields that `owm.data.windows.from_episodes` reads."""
     steps = int(seconds / SUBSTEP)
     keys = jax.random.split(jax.random.key(seed), count)
     names = [policies[i % len(policies)] for i in range(count)]

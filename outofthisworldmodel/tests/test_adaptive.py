@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 import synthetic
 
-from owm.data import from_episodes
-from owm.evaluation.prediction import prediction_error
-from owm.model.checkpoint import load_world_model, save_world_model
+from owm.catalogue.checkpoint import load_world_model
+from owm.checkpoint import save_world_model
+from owm.data.windows import from_episodes
 from owm.model.config import ModelConfig
-from owm.model.response import VEHICLE
 from owm.model.streams import STREAMS
-from owm.model.track import follow_windows
 from owm.model.world_model import LearnedWorldModel, Network, Params
+from owm.motion.response import VEHICLE
+from owm.motion.track import follow_windows
+from owm.scores.prediction import prediction_error
 
 STEPS, HISTORY = 150, 64
 KINDS = ("kinematic", "adaptive")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from owm.baselines.constant_velocity import ConstantVelocity
-from owm.evaluation.calibration import LEVELS, calibration, central_coverage, crps, score_samples
-from owm.evaluation.prediction import prediction_error
-from owm.evaluation.tables import calibration_table, error_table
-from owm.model.kinematics import displaced
-from owm.predictors import write_predictions
+from owm.catalogue.predictors import write_predictions
+from owm.motion.kinematics import displaced
+from owm.report.tables import calibration_table, error_table
+from owm.scores.calibration import LEVELS, calibration, central_coverage, crps, score_samples
+from owm.scores.prediction import prediction_error
 
 NORMAL_QUANTILE = {0.5: 0.674490, 0.9: 1.644854, 0.99: 2.575829}
 

@@ -10,10 +10,10 @@ import pytest
 
 from owm import cli
 from owm.baselines.least_squares import LeastSquares
-from owm.evaluation.docking import evaluation_config
-from owm.model.checkpoint import save_world_model
-from owm.model.linear import LinearMap
-from owm.policies import GIVEN, NAMES, differences, kind_of, load_model
+from owm.catalogue.policies import GIVEN, NAMES, differences, kind_of, load_model
+from owm.checkpoint import save_world_model
+from owm.motion.linear import LinearMap
+from owm.scores.docking import evaluation_config
 from owm.training.config import PRESETS
 
 
@@ -37,7 +37,7 @@ def test_help_imports_nothing_heavy():
 def test_importing_changes_no_jax_setting():
     done = python(
         "import os, jax\nbefore = dict(jax.config.values)\nenviron = dict(os.environ)\nimport owm, owm.cli\n"
-        "import owm.commands, owm.demo\nafter = dict(jax.config.values)\n"
+        "import owm.commands.run, owm.commands.demo\nafter = dict(jax.config.values)\n"
         "print(sorted(k for k in after if before.get(k, None) != after[k] and k in before))\n"
         "print(environ == dict(os.environ))"
     )
@@ -46,8 +46,8 @@ def test_importing_changes_no_jax_setting():
 
 def test_output_that_cannot_hold_a_letter_does_without_it():
     done = python(
-        "from owm.cli import tolerant_output\nfrom owm.console import print_table\n"
-        "from owm.evaluation.report import Table\ntolerant_output()\nprint_table(Table(['Δv m/s'], [['8.2']]))",
+        "from owm.cli import tolerant_output\nfrom owm.report.terminal import print_table\n"
+        "from owm.report.page import Table\ntolerant_output()\nprint_table(Table(['Δv m/s'], [['8.2']]))",
         PYTHONIOENCODING="cp1252",
         PYTHONUTF8="0",
     )
@@ -56,13 +56,13 @@ def test_output_that_cannot_hold_a_letter_does_without_it():
 
 
 def test_a_loss_that_diverges_is_told_in_one_line(monkeypatch, tmp_path, capfd):
-    import owm.commands
+    import owm.commands.run
 
     def diverge(*arguments):
         raise FloatingPointError("the loss is not finite at step 50; lower learning_rate")
 
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(owm.commands, "train", diverge)
+    monkeypatch.setattr(owm.commands.run, "train", diverge)
     with pytest.raises(SystemExit) as stop:
         cli.main(["train", "--data", "d", "--out", "o"])
     assert stop.value.code == 2 and capfd.readouterr().err.startswith("error: the loss is not finite")
@@ -101,11 +101,11 @@ def test_unknown_flags_end_with_code_2(capfd):
 
 
 def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
-    import owm.commands
+    import owm.commands.run
 
     seen = []
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(owm.commands, "train", lambda *arguments: seen.append(arguments))
+    monkeypatch.setattr(owm.commands.run, "train", lambda *arguments: seen.append(arguments))
     cli.main(
         ["train", "--data", "d", "e", "--out", "o", "--preset", "ci", "--batch", "7", "--width", "64", "--wandb", "p"]
     )
@@ -116,11 +116,11 @@ def test_train_takes_its_flags_from_the_preset(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_is_a_choice_of_train(preset, monkeypatch, tmp_path, recwarn):
-    import owm.commands
+    import owm.commands.run
 
     seen = []
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(owm.commands, "train", lambda *arguments: seen.append(arguments))
+    monkeypatch.setattr(owm.commands.run, "train", lambda *arguments: seen.append(arguments))
     cli.main(["train", "--data", "d", "--out", "o", "--preset", preset])
     assert seen[0][2] == PRESETS[preset]
     assert not recwarn.list, [str(warning.message) for warning in recwarn.list]

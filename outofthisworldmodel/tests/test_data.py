@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from owm.data import from_episodes, history_of
+from owm.data.windows import from_episodes, history_of
 
 
 def recording(steps, *, base=0.0, padded=False):

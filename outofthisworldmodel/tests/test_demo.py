@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from owm.demo import SCALES, check
-from owm.demo_report import Results, _summary, write_demo_report
-from owm.evaluation.flights import Flights
-from owm.evaluation.prediction import PredictionError
+from owm.commands.demo import SCALES, check
+from owm.commands.demo_report import Results, _summary, write_demo_report
+from owm.scores.flights import Flights
+from owm.scores.prediction import PredictionError
 
 HORIZONS = tuple(range(1, 65))
 

@@ -1,7 +1,7 @@
 import pytest
 
-from owm.files import write_atomically
 from owm.stages import Stages, peak_memory, source_digest
+from owm_envs.files import write_atomically
 
 
 def work(folder, log, name):

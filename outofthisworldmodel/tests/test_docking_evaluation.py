@@ -4,7 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from owm.evaluation.docking import (
+from owm.report.plots import hull_distance, save_figure, tolerance_figure, trajectory_figure
+from owm.report.tables import definitions_table, docking_table, failures, port_table
+from owm.scores.docking import (
     check_identical_starts,
     evaluation_config,
     fly_episodes,
@@ -12,7 +14,7 @@ from owm.evaluation.docking import (
     state_at,
     trials,
 )
-from owm.evaluation.flights import (
+from owm.scores.flights import (
     TOLERANCES,
     Flights,
     definition_name,
@@ -22,9 +24,7 @@ from owm.evaluation.flights import (
     within_contact_limits,
     write_results,
 )
-from owm.evaluation.plots import hull_distance, save_figure, tolerance_figure, trajectory_figure
-from owm.evaluation.statistics import rate
-from owm.evaluation.tables import definitions_table, docking_table, failures, port_table
+from owm.scores.statistics import rate
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy, make_policy

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from owm.baselines.ekf import ErrorStateEKF
-from owm.evaluation.calibration import sample_views
-from owm.model.interface import History
-from owm.model.kinematics import displaced, view_error
+from owm.interface import History
+from owm.motion.kinematics import displaced, view_error
+from owm.scores.calibration import sample_views
 from owm_envs.task.sensors import measure
 
 RUNS, STEPS = 64, 40

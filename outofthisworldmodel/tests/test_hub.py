@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from owm.baselines.least_squares import LeastSquares
-from owm.model.checkpoint import CheckpointError, load_world_model, save_world_model
+from owm.catalogue.checkpoint import load_world_model
+from owm.catalogue.hub import CONTENTS, is_repository, local_folder
+from owm.checkpoint import CheckpointError, save_world_model
 from owm.model.config import ModelConfig
-from owm.model.hub import CONTENTS, is_repository, local_folder
-from owm.model.linear import LinearMap
+from owm.motion.linear import LinearMap
 
 constants = pytest.importorskip("huggingface_hub.constants")
 COMMIT = "c" * 40

@@ -9,15 +9,16 @@ import pytest
 
 from owm import cli
 from owm.baselines.constant_velocity import ConstantVelocity
-from owm.evaluation.prediction import prediction_error
-from owm.model.bilinear import COLUMNS, bilinear_inputs, fit_bilinear_map
-from owm.model.checkpoint import load_world_model, save_world_model
+from owm.catalogue.checkpoint import load_world_model
+from owm.catalogue.policies import kind_of
+from owm.checkpoint import save_world_model
 from owm.model.config import PRESETS, ModelConfig
 from owm.model.flow import FlowHead
-from owm.model.kinematics import quaternion, rotation, view_error
 from owm.model.streams.latent import HASTE, LatentStream, features
 from owm.model.world_model import LearnedWorldModel, Network, Params, parameter_counts
-from owm.policies import kind_of
+from owm.motion.bilinear import COLUMNS, bilinear_inputs, fit_bilinear_map
+from owm.motion.kinematics import quaternion, rotation, view_error
+from owm.scores.prediction import prediction_error
 from owm.training.loss import draw, window_losses
 
 CONFIG = ModelConfig(stream="latent", width=16, heads=2, window=4, head_width=16, history_length=4)

@@ -5,16 +5,16 @@ import mortal
 import numpy as np
 import pytest
 
-from owm.evaluation import matrix_workers
-from owm.evaluation.coasting import COAST, coasts_clear, transitions
-from owm.evaluation.conditions import CONDITIONS, Condition, condition
-from owm.evaluation.matrix import Matrix, Study, read_matrix, row_name, rows_of
-from owm.evaluation.matrix_report import given_of, rows_flown, write_matrix_report
-from owm.evaluation.matrix_run import Pace, run_matrix
-from owm.evaluation.plots import hull_distance
-from owm.evaluation.statistics import Pairs
-from owm.evaluation.tables import docking_table, pairs_table
-from owm_envs.geodesic import load_field
+from owm.report.plots import hull_distance
+from owm.report.tables import docking_table, pairs_table
+from owm.scores.coasting import COAST, coasts_clear, transitions
+from owm.scores.statistics import Pairs
+from owm.study import workers as matrix_workers
+from owm.study.conditions import CONDITIONS, Condition, condition
+from owm.study.matrix import Matrix, Study, read_matrix, row_name, rows_of
+from owm.study.report import given_of, rows_flown, write_matrix_report
+from owm.study.run import Pace, run_matrix
+from owm_envs.field import load_field
 from owm_envs.station import hull_boxes
 
 TABLE = """

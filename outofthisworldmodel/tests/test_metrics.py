@@ -2,7 +2,7 @@
 
 import pytest
 
-from owm import commands
+from owm.commands import run as commands
 from owm.training.config import TrainConfig
 from owm.training.metrics import Metrics
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from owm.baselines.exact import ExactDynamics
-from owm.model.interface import History
+from owm.interface import History
 from owm.planning.mppi import rollout
 from owm_envs.config import load_config
+from owm_envs.config.params import params_from_config
 from owm_envs.dynamics import DYNAMICS
-from owm_envs.params import params_from_config
 
 VIEW = np.array([60.0, -90.0, 40.0, 0.5, 2.0, -1.0, 0.6, 0.0, 0.8, 0.0, 0.01, -0.02, 0.005])
 WRENCHES = np.random.default_rng(0).uniform(-1, 1, (64, 6)) * np.array([1600.0] * 3 + [2000.0] * 3)

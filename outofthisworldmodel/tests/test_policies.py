@@ -9,13 +9,13 @@ import synthetic
 from owm.baselines.classical import CRUISE_RADIUS, classical_policy, corridor_of, inside, wanted_velocity
 from owm.baselines.least_squares import LeastSquares
 from owm.baselines.online import OnlineLeastSquares, OnlineSkip
-from owm.model.checkpoint import save_world_model
+from owm.catalogue.policies import GIVEN, kind_of
+from owm.checkpoint import save_world_model
 from owm.model.config import ModelConfig
-from owm.model.linear import LinearMap
 from owm.model.streams.kinematic import KinematicStream
 from owm.model.world_model import LearnedWorldModel, Network, Params
+from owm.motion.linear import LinearMap
 from owm.planning.mpc import beyond, clohessy_wiltshire, solve, tracking
-from owm.policies import GIVEN, kind_of
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy
 from owm_envs.station import goal_poses, hull_boxes

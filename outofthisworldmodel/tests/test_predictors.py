@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from owm import predictors
 from owm.baselines.least_squares import fit_least_squares
-from owm.model.checkpoint import save_world_model
-from owm.recordings import training_episodes
+from owm.catalogue import predictors
+from owm.checkpoint import save_world_model
+from owm.data.recordings import training_episodes
 from owm_envs.config import load_config
 from owm_envs.datasets.generate import Request, generate
 

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from owm.baselines.exact import ExactDynamics
-from owm.evaluation.prediction import roll_out
-from owm.model.checkpoint import load_world_model
-from owm.model.interface import History
-from owm.model.kinematics import view_error
-from owm.policies import GIVEN, kind_of
+from owm.catalogue.checkpoint import load_world_model
+from owm.catalogue.policies import GIVEN, kind_of
+from owm.interface import History
+from owm.motion.kinematics import view_error
+from owm.scores.prediction import roll_out
 
 
 def test_the_shipped_model_predicts_what_the_equations_of_motion_do():

@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from owm import recordings
-from owm.recordings import corpus_facts, training_episodes
+from owm.data import recordings
+from owm.data.recordings import corpus_facts, training_episodes
 from owm_envs.config import load_config
 from owm_envs.datasets.generate import Request, generate
 

@@ -2,7 +2,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from owm.evaluation.report import Bullets, Code, Heading, Picture, Table, Text, write_report
+from owm.report.page import Bullets, Code, Heading, Picture, Table, Text, write_report
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de0000000c4944415408d763f8cfc0"

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from owm.evaluation.statistics import holm, mcnemar, median_interval, pair, quantiles_by, rate, seeded_rate, wilson
-from owm.evaluation.tables import percent
+from owm.report.tables import percent
+from owm.scores.statistics import holm, mcnemar, median_interval, pair, quantiles_by, rate, seeded_rate, wilson
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,14 @@ import pytest
 from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
-from owm.data import Episodes
-from owm.evaluation.calibration import calibration
-from owm.evaluation.prediction import window_errors
-from owm.model.checkpoint import CheckpointError, load_world_model
+from owm.catalogue.checkpoint import load_world_model
+from owm.checkpoint import CheckpointError
+from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
+from owm.scores.calibration import calibration
+from owm.scores.prediction import window_errors
 from owm.training.autobatch import compiled_bytes, largest_batch, memory_budget
 from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
@@ -48,7 +49,7 @@ QUIET = Console(quiet=True)
 CHILD = """
 import sys
 import numpy as np
-from owm.data import Episodes
+from owm.data.windows import Episodes
 from owm.training.config import TrainConfig
 from owm.training.loop import train
 data = dict(np.load(sys.argv[1]))

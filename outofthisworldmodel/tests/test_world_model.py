@@ -12,15 +12,16 @@ import synthetic
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.least_squares import fit_least_squares
-from owm.data import from_episodes, history_of
-from owm.evaluation.prediction import prediction_error, roll_out
+from owm.catalogue.checkpoint import load_world_model
+from owm.checkpoint import CheckpointError, save_world_model
+from owm.data.windows import from_episodes, history_of
+from owm.interface import History
 from owm.model.backbones import BACKBONES
-from owm.model.checkpoint import CheckpointError, load_world_model, save_world_model
 from owm.model.config import ModelConfig, preset
-from owm.model.interface import History
-from owm.model.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
 from owm.model.streams.kinematic import KinematicStream
 from owm.model.world_model import LearnedWorldModel, Network, Params
+from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
+from owm.scores.prediction import prediction_error, roll_out
 
 CONFIG = ModelConfig(width=16, heads=2, window=5, head_width=16)
 DEPTH = 10

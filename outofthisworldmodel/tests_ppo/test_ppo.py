@@ -14,15 +14,15 @@ import pytest
 from rich.console import Console
 from stable_baselines3 import PPO
 
-from owm.model.checkpoint import CheckpointError
-from owm.policies import kind_of, load_policy
-from owm.ppo.config import PRESETS, PPOConfig
-from owm.ppo.features import field_features
-from owm.ppo.policy import PPOPolicy
-from owm.ppo.train import _restore_statistics, train_ppo
-from owm.ppo.vec_env import make_env
+from owm.baselines.ppo.config import PRESETS, PPOConfig
+from owm.baselines.ppo.features import field_features
+from owm.baselines.ppo.policy import PPOPolicy
+from owm.baselines.ppo.train import _restore_statistics, train_ppo
+from owm.baselines.ppo.vec_env import make_env
+from owm.catalogue.policies import kind_of, load_policy
+from owm.checkpoint import CheckpointError
 from owm_envs.config import load_config
-from owm_envs.geodesic import load_field
+from owm_envs.field import load_field
 from owm_envs.station import goal_poses, port_index
 
 QUICK = PRESETS["ci"].model_copy(update={"env": "iss-hcw", "observe_field": True})
@@ -30,8 +30,8 @@ QUIET = Console(quiet=True)
 CHILD = """
 import sys
 from pathlib import Path
-from owm.ppo.config import PPOConfig
-from owm.ppo.train import train_ppo
+from owm.baselines.ppo.config import PPOConfig
+from owm.baselines.ppo.train import train_ppo
 train_ppo(PPOConfig.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
 """
 
@@ -78,7 +78,7 @@ def test_the_exported_actor_is_stable_baselines3_s(run, tmp_path):
     venv = make_env(QUICK, 5, 7, training=False)
     model = PPO.load(save / "model.zip", device="cpu")
     _restore_statistics(venv, json.loads((save / "statistics.json").read_text(encoding="utf-8")))
-    from owm.ppo.train import _export
+    from owm.baselines.ppo.train import _export
 
     _export(model, venv, tmp_path / "policy", QUICK, {"step": 0, "validation/return": 0.0})
     config = venv.get_attr("config")[0]

@@ -38,9 +38,10 @@ def generate(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from owm_envs.config import FIDELITIES, load_config, unknown
+    from owm_envs.config import FIDELITIES, load_config
     from owm_envs.datasets.generate import Request
     from owm_envs.datasets.generate import generate as record
+    from owm_envs.words import unknown
 
     if env is not None and env not in FIDELITIES:
         raise ValueError(unknown("env", env, FIDELITIES))
@@ -87,9 +88,9 @@ def schema() -> None:
     """Print the JSON schema of configuration files, for editors."""
     import json
 
-    from owm_envs.config_text import json_schema
+    from owm_envs.config.text import json_schema
 
-    print(json.dumps(json_schema(), indent=1))
+    print(json.dumps(json_schema(DockingConfig), indent=1))
 
 
 def validate(config: Annotated[Path, tyro.conf.Positional]) -> None:
@@ -99,7 +100,7 @@ def validate(config: Annotated[Path, tyro.conf.Positional]) -> None:
         config: TOML file.
     """
     from owm_envs.config import DockingConfig, load_config
-    from owm_envs.config_text import changes
+    from owm_envs.config.text import changes
 
     try:
         settings = load_config(config)

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from owm_envs.datasets.schema import POLICY_NAMES, Episode
+from owm_envs.config.params import Params
 from owm_envs.env import DockingEnv
-from owm_envs.params import Params
+from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.policies import ScriptedPolicy
 from owm_envs.task.events import Outcome
 from owm_envs.task.reset import named_key

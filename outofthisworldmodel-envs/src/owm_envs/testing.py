@@ -12,9 +12,9 @@ from gymnasium.utils import env_checker
 from jaxtyping import Array, Float
 
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply
+from owm_envs.config.params import Params
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState
 from owm_envs.env import DockingEnv
-from owm_envs.params import Params
 
 _STEPS = 20
 _TOLERANCE = {"float64": 1e-6, "float32": 1e-3}

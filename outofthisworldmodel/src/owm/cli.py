@@ -36,7 +36,7 @@ def fly(
         out: Folder for CSV, JSON and picture.
     """
     _compilation_cache()
-    from owm.commands import fly as run
+    from owm.commands.run import fly as run
 
     run(policy, port, flights=flights, seed=seed, shell=shell, noise=noise, fidelity=env, out=out, plot=plot)
 
@@ -72,7 +72,7 @@ def evaluate_docking(
         processes: That fly, as for `owm evaluate matrix`.
     """
     _compilation_cache()
-    from owm.commands import evaluate_docking as run
+    from owm.commands.run import evaluate_docking as run
 
     scored = {"flights": flights, "ports": ports, "seed": seed, "shell": shell, "noise": noise}
     run(policies, **scored, slots=slots, out=out, fresh=fresh, processes=processes)
@@ -99,7 +99,7 @@ def evaluate_matrix(
         prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
     """
     _compilation_cache()
-    from owm.commands import evaluate_matrix as run
+    from owm.commands.run import evaluate_matrix as run
 
     run(table, out=out, slots=slots, fresh=fresh, fly=fly, processes=processes, prediction=prediction)
 
@@ -129,7 +129,7 @@ def evaluate_prediction(
         out: Folder for JSON and pictures.
     """
     _compilation_cache()
-    from owm.predictors import evaluate_prediction as run
+    from owm.catalogue.predictors import evaluate_prediction as run
 
     run(
         models,
@@ -145,7 +145,7 @@ def evaluate_prediction(
 
 def presets() -> None:
     """Print what `owm train --preset` knows: models, their sizes and numbers of parameters."""
-    from owm.commands import presets as run
+    from owm.commands.run import presets as run
 
     run()
 
@@ -162,7 +162,7 @@ def demo(
         fresh: Start over, whatever is there.
     """
     _compilation_cache()
-    from owm.demo import demo as run
+    from owm.commands.demo import demo as run
 
     if not run(scale, out, seed, fresh=fresh):
         raise SystemExit(1)
@@ -193,7 +193,7 @@ def _train(preset: str):
         del preset
         _compilation_cache()
         _cpu_devices(config.devices)
-        from owm.commands import train as run
+        from owm.commands.run import train as run
 
         run(data, out, config, wandb)
 
@@ -202,7 +202,7 @@ def _train(preset: str):
 
 def _train_ppo(preset: str):
     """The `train-ppo` command, its flags those of a preset."""
-    from owm.ppo.config import PRESETS, PPOConfig
+    from owm.baselines.ppo.config import PRESETS, PPOConfig
 
     start_from = preset if preset in PRESETS else "paper"
 
@@ -220,7 +220,7 @@ def _train_ppo(preset: str):
         """
         del preset
         _compilation_cache()
-        from owm.commands import train_ppo as run
+        from owm.commands.run import train_ppo as run
 
         run(out, config)
 

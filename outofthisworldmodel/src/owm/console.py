@@ -13,27 +13,12 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from owm.evaluation.report import Table
-from owm.evaluation.tables import to_rich
-
 console = Console(stderr=True, highlight=False)
-_WIDTH = 160
-"""Columns where there is no terminal to ask."""
 
 
 def announce(text: str) -> None:
     """Say what begins."""
     console.print(text, soft_wrap=True)
-
-
-def print_table(table: Table, title: str = "") -> None:
-    """Print a table as results are printed: to standard output."""
-    terminal = Console(highlight=False)
-    if not terminal.is_terminal:
-        terminal = Console(highlight=False, width=_WIDTH)
-    terminal.print(to_rich(table, title))
-    if table.caption:
-        terminal.print(table.caption, style="dim")
 
 
 @contextlib.contextmanager

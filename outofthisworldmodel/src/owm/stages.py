@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from owm.files import write_atomically
+from owm_envs.files import write_atomically
 
 _STATE = "state.json"
 

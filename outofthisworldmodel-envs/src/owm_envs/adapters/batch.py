@@ -15,10 +15,10 @@ from gymnasium.vector import AutoresetMode
 from astrojax.compilation import compiler_options
 from owm_envs.adapters.packing import Packing
 from owm_envs.config import DockingConfig
+from owm_envs.config.params import Params
 from owm_envs.cores import core_count, workers
 from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
-from owm_envs.params import Params
 from owm_envs.task.events import Outcome
 
 State = tuple[dict[str, jax.Array], ...]

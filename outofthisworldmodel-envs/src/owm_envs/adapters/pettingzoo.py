@@ -12,9 +12,10 @@ from gymnasium import spaces
 
 from owm_envs.adapters.batch import seed_keys, state_from_host, state_to_host
 from owm_envs.adapters.gymnasium import RENDER_MODES, _named
-from owm_envs.config import DockingConfig, load_config, unknown
-from owm_envs.fleet import FleetEnv, FleetState
+from owm_envs.config import DockingConfig, load_config
+from owm_envs.env import FleetEnv, FleetState
 from owm_envs.station import goal_poses, port_index
+from owm_envs.words import unknown
 
 try:
     from pettingzoo import AECEnv, ParallelEnv

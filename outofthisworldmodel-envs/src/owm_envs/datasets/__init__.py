@@ -5,6 +5,6 @@
 
 from owm_envs.datasets.generate import Request, generate
 from owm_envs.datasets.reader import read, read_statistics
-from owm_envs.datasets.schema import POLICY_NAMES, Episode
+from owm_envs.episode import POLICY_NAMES, Episode
 
 __all__ = ["POLICY_NAMES", "Episode", "Request", "generate", "read", "read_statistics"]

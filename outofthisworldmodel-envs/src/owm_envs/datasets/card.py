@@ -1,7 +1,8 @@
 """The card that explains a dataset to whoever finds it."""
 
 from owm_envs.config import DockingConfig
-from owm_envs.datasets.schema import FEATURES, POLICY_NAMES
+from owm_envs.datasets.schema import FEATURES
+from owm_envs.episode import POLICY_NAMES
 
 _MEANING = {
     "observation.state": "relative view as measured: position m, velocity m/s, attitude (body to station), rate rad/s",

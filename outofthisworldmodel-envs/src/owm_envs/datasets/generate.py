@@ -15,8 +15,8 @@ import numpy as np
 
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.card import dataset_card
-from owm_envs.datasets.schema import POLICY_NAMES, Episode
 from owm_envs.datasets.writer import SplitWriter, write_json
+from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
 
 FORMAT = 1

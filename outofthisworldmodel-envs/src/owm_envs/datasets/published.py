@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from owm_envs.datasets.schema import Episode
+from owm_envs.episode import Episode
 from owm_envs.station.ports import goal_poses
 
 PUBLISHED_COLUMNS = (

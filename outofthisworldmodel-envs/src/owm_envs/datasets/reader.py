@@ -9,8 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
-from owm_envs.datasets.schema import FEATURES, Episode, episode_from_columns
+from owm_envs.datasets.schema import FEATURES, episode_from_columns
 from owm_envs.datasets.statistics import Statistics
+from owm_envs.episode import Episode
 
 _NEEDED = tuple(name for name in FEATURES if name not in ("timestamp", "frame_index", "index", "task_index"))
 

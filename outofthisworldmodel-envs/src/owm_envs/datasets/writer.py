@@ -9,8 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, Episode, columns_from_episode
+from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, columns_from_episode
 from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
+from owm_envs.episode import Episode
 from owm_envs.station.ports import PORT_NAMES
 
 FILES_PER_CHUNK = 1000

@@ -10,11 +10,11 @@ from typing import Protocol
 from jaxtyping import Array, Float
 
 from owm_envs.config import DockingConfig
+from owm_envs.config.params import Params
 from owm_envs.dynamics.free_flyer import FreeFlyer
 from owm_envs.dynamics.hcw import HillClohessyWiltshire
 from owm_envs.dynamics.numerical import NumericalOrbits
 from owm_envs.dynamics.state import PhysicalState, VehicleState
-from owm_envs.params import Params
 
 
 class Dynamics(Protocol):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from owm_envs.policies.scripted import ScriptedPolicy
+from owm_envs.policies.base import ScriptedPolicy
 from owm_envs.station import goal_poses, port_index
 
 

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_from_rotation_vector, quat_rotate
-from owm_envs.params import ChaserParams
+from owm_envs.config.params import ChaserParams
 
 
 class Pulses(NamedTuple):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from astrojax.compilation import all_of, summed
-from owm_envs.params import DockingParams
+from owm_envs.config.params import DockingParams
 
 
 class Outcome(IntEnum):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_to_rotation_vector
-from owm_envs.params import Params, RandomizationParams
+from owm_envs.config.params import Params, RandomizationParams
 from owm_envs.task.reset import isotropic, named_key
 
 ELEMENTS = ("semi-major axis", "eccentricity", "inclination", "raan", "argument of perigee", "mean anomaly")

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply
 from astrojax.time import normalize_epoch
-from owm_envs.params import Params
+from owm_envs.config.params import Params
 
 
 class Start(NamedTuple):

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from astrojax.compilation import summed
-from owm_envs.params import Params
+from owm_envs.config.params import Params
 from owm_envs.task.events import safe_norm
 
 

@@ -11,7 +11,7 @@ from astrojax.attitude import (
     quat_to_rotation_vector,
 )
 from astrojax.compilation import stored
-from owm_envs.params import NoiseParams
+from owm_envs.config.params import NoiseParams
 from owm_envs.task.events import safe_norm
 from owm_envs.task.noise_stream import standard_normal
 

@@ -13,7 +13,7 @@ from astrojax.constants import GM_EARTH
 from owm.baselines.ekf import Belief, ErrorStateEKF
 from owm.planning.mpc import Corridor, Tracking, solve, tracking
 from owm_envs.env import DockingEnv
-from owm_envs.policies.scripted import Vehicle, View, attitude_error, goal_of
+from owm_envs.policies.base import Vehicle, View, attitude_error, goal_of
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import ObservationLayout
 

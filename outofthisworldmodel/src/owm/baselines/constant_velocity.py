@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from owm.model.interface import History
-from owm.model.kinematics import Motion, advance, to_motion, to_view
+from owm.checkpoint import Contents
+from owm.interface import History
+from owm.motion.kinematics import Motion, advance, to_motion, to_view
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,16 @@ class ConstantVelocity:
     dt: float = 0.25
     name: str = field(default="constant velocity", compare=False)
     params: tuple[()] = field(default=(), compare=False)
+
+    def contents(self) -> Contents:
+        """What a checkpoint holds of it."""
+        config = {"history_length": self.history_length, "dt": self.dt}
+        return Contents("constant_velocity", self.name, config, ())
+
+    @classmethod
+    def from_contents(cls, contents: Contents) -> "ConstantVelocity":
+        """The model that a checkpoint holds."""
+        return cls(**contents.config, name=contents.name)
 
     def encode(self, params: tuple[()], history: History) -> Motion:
         """Start from the last measurement."""

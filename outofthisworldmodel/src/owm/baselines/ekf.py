@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from owm.baselines.exact import ExactDynamics, ExactParams
-from owm.model.interface import History
-from owm.model.kinematics import displaced, view_error
+from owm.interface import History
+from owm.motion.kinematics import displaced, view_error
 from owm_envs.config import DockingConfig, Fidelity, load_config
-from owm_envs.params import NoiseParams, params_from_config
+from owm_envs.config.params import NoiseParams, params_from_config
 
 HELD_COMMANDS = (5e-5, 5e-6, 2e-6, 1e-7)
 """Errors of a 0.25 s step whose command is held, per axis: position m, velocity m/s, attitude rad, rate rad/s; at least

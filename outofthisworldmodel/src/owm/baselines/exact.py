@@ -9,10 +9,11 @@ from jaxtyping import Array, Float, Key
 
 from astrojax.attitude import quat_normalize
 from astrojax.time import normalize_epoch
-from owm.model.interface import History
-from owm_envs.config import FIDELITIES, DockingConfig, Fidelity, load_config, unknown
+from owm.interface import History
+from owm_envs.config import FIDELITIES, DockingConfig, Fidelity, load_config
+from owm_envs.config.params import ChaserParams, ChiefParams, params_from_config
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState
-from owm_envs.params import ChaserParams, ChiefParams, params_from_config
+from owm_envs.words import unknown
 
 
 class ExactParams(NamedTuple):

@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 
 from jaxtyping import Array, Float, Key
 
-from owm.data import Episodes
-from owm.model.interface import History
-from owm.model.kinematics import Motion, to_motion, to_view
-from owm.model.linear import LinearMap, fit_linear_map, linear_advance
+from owm.checkpoint import Contents, fill
+from owm.data.windows import Episodes
+from owm.interface import History
+from owm.motion.kinematics import Motion, to_motion, to_view
+from owm.motion.linear import LinearMap, fit_linear_map, linear_advance
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,18 @@ class LeastSquares:
     history_length: int = 8
     dt: float = 0.25
     name: str = field(default="least squares", compare=False)
+
+    def contents(self) -> Contents:
+        """What a checkpoint holds of it."""
+        config = {"history_length": self.history_length, "dt": self.dt}
+        return Contents("least_squares", self.name, config, self.params)
+
+    @classmethod
+    def from_contents(cls, contents: Contents) -> "LeastSquares":
+        """The model that a checkpoint holds. Raises CheckpointError: the weights don't fit."""
+        tensors = contents.weights
+        params = fill(LinearMap.skeleton(tensors["action"].dtype), tensors)
+        return cls(params, **contents.config, name=contents.name)
 
     def encode(self, params: LinearMap, history: History) -> Motion:
         """Start from the last measurement."""

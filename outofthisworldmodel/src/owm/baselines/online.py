@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from owm.model.kinematics import increments, to_motion
-from owm.model.linear import LinearMap, linear_increment
 from owm.model.world_model import Params
+from owm.motion.kinematics import increments, to_motion
+from owm.motion.linear import LinearMap, linear_increment
 
 
 class Estimate(NamedTuple):

@@ -1,4 +1,4 @@
-"""The learned world model: tokens, backbone, flow head and a stream, behind the interface of `owm.model.interface`."""
+"""The learned world model: tokens, backbone, flow head and a stream, behind the interface of `owm.interface`."""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key, PyTree
 
+from owm.checkpoint import CheckpointError, Contents, fill
+from owm.interface import History
 from owm.model.backbones import BACKBONES, SequenceModel
 from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
-from owm.model.interface import History
 from owm.model.streams import STREAMS, Stream
 from owm.model.transformer import Perceptron
 
@@ -76,6 +78,33 @@ class LearnedWorldModel:
     def dt(self) -> float:
         """Seconds a step."""
         return self.config.dt
+
+    def contents(self) -> Contents:
+        """What a checkpoint holds of it."""
+        return Contents("learned", self.name, self.config.model_dump(), self.params.network, self.params.statistics)
+
+    @classmethod
+    def from_contents(cls, contents: Contents, expect: ModelConfig | None = None) -> "LearnedWorldModel":
+        """The model that a checkpoint holds.
+
+        Args:
+            expect: the configuration that it must have, if only one will do.
+
+        Raises:
+            CheckpointError: it is another model, of another configuration, or its weights don't fit.
+        """
+        if contents.kind != "learned":
+            raise CheckpointError(f"expected a learned model, found {contents.kind!r}")
+        config = ModelConfig.model_validate(contents.config)
+        if expect is not None and config != expect:
+            wrong = [k for k in ModelConfig.model_fields if getattr(config, k) != getattr(expect, k)]
+            details = ", ".join(f"{k}={getattr(config, k)!r} where {getattr(expect, k)!r} is expected" for k in wrong)
+            raise CheckpointError(f"another configuration: {details}")
+        dtype = next(iter(contents.weights.values())).dtype
+        skeleton = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0), dtype=dtype))
+        numbers = {k: np.asarray(v, dtype) for k, v in contents.statistics.items()}
+        statistics = fill(STREAMS[config.stream].skeleton(dtype), numbers)
+        return cls(config, Params(fill(skeleton, contents.weights), statistics), contents.name)
 
     def encode(self, params: Params, history: History) -> ModelState:
         """Turn a history into the state from which `step` predicts; computed in the dtype of the weights."""

@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from owm_envs.config import unknown
+from owm_envs.words import unknown
 
 Objective = Literal["geodesic", "straight", "plain"]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

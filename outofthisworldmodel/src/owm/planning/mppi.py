@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 
-from owm.model.interface import History, WorldModel
+from owm.interface import History, WorldModel
 from owm.planning.config import Shape, Tuning
 from owm.planning.corrector import Corrector, apply, init_corrector, update
 from owm.planning.objective import sequence_cost
-from owm_envs.geodesic import GeodesicField, clearance
+from owm_envs.field import GeodesicField, clearance
 
 
 class PlannerState(NamedTuple):

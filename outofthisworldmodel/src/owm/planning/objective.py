@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from owm.planning.config import Weights
-from owm_envs.geodesic import GeodesicField, clearance, cost_to_go
+from owm_envs.field import GeodesicField, clearance, cost_to_go
 
 
 def _safe_norm(vector: Float[Array, "3"]) -> Float[Array, ""]:

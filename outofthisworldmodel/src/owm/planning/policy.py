@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from astrojax.compilation import compiler_options
-from owm.model.interface import History, WorldModel
+from owm.interface import History, WorldModel
 from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, init_planner, plan
 from owm_envs.config import DockingConfig
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv
-from owm_envs.geodesic import GeodesicField, field_rows
+from owm_envs.field import GeodesicField, field_rows
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 
 
@@ -63,7 +63,7 @@ class PlannerPolicy:
     Args:
         model: a world model; its `precision`, "float32" unless it says otherwise, decides in which mode it
             runs.
-        field: geodesic field that covers the ports to be flown, from `owm_envs.geodesic.load_field`.
+        field: geodesic field that covers the ports to be flown, from `owm_envs.field.load_field`.
         env: the environment to be flown, or its configuration: layout, wrench limits, decision rate.
         config: the planner's.
         num_slots: episodes flown side by side.

@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ import orbax.checkpoint as ocp
 from jax.sharding import Mesh
 from rich.console import Console
 
-from owm.data import Episodes
-from owm.model.checkpoint import load_world_model, save_world_model
+from owm.checkpoint import read_checkpoint, save_world_model
+from owm.data.windows import Episodes
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
 from owm.training import rundir
@@ -90,7 +91,7 @@ def train(
     found = rundir.read_claim(out, fingerprint)
     metrics_file = out / "metrics.jsonl"
     if found and (out / "model").exists():
-        model = load_world_model(out / "model", expect=config.model)
+        model = read_checkpoint(out / "model", partial(LearnedWorldModel.from_contents, expect=config.model))
         said = json.loads((out / "model" / "config.json").read_text(encoding="utf-8"))["about"]
         return TrainResult(model, said["score"], said["step"], out / "model", metrics_file)
 

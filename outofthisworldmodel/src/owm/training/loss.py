@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from owm.data import history_of
+from owm.data.windows import history_of
 from owm.model.streams import Stream
 from owm.model.world_model import LearnedWorldModel, ModelState, Params
 

@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from owm.files import write_atomically
+from owm_envs.files import write_atomically
 
 _SHOWN = 6
 """Validations that the view keeps in sight."""

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from owm.files import write_atomically
-from owm.model.checkpoint import CheckpointError, save_world_model
+from owm.checkpoint import CheckpointError, save_world_model
 from owm.model.world_model import LearnedWorldModel
 from owm.training.step import TrainState
+from owm_envs.files import write_atomically
 
 PARTS = ("state", "checkpoints", "model", "tensorboard", "wandb", "run.json", "metrics.jsonl")
 

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from owm.data import Episodes, Windows, history_of
-from owm.evaluation.calibration import sample_views
-from owm.evaluation.prediction import window_errors
-from owm.model.kinematics import view_error
+from owm.data.windows import Episodes, Windows, history_of
 from owm.model.world_model import LearnedWorldModel, Params
+from owm.motion.kinematics import view_error
+from owm.scores.calibration import sample_views
+from owm.scores.prediction import window_errors
 from owm.training.config import TrainConfig
 
 SCORE_UNITS = (0.1, 0.05, float(np.deg2rad(1.0)), float(np.deg2rad(0.1)))

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from owm.data import Episodes
+from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.streams.adaptive import AdaptiveStream
 from owm.model.streams.kinematic import KinematicStream

@@ -5,9 +5,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from owm.model.response import VEHICLE, Track
 from owm.model.streams.kinematic import KinematicStream, Statistics
-from owm.model.track import Filter
+from owm.motion.response import VEHICLE, Track
+from owm.motion.track import Filter
 
 
 class AdaptiveStream(KinematicStream):

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from owm.data import Episodes
+from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
-from owm.model.kinematics import (
+from owm.model.transformer import Perceptron
+from owm.motion.kinematics import (
     advance,
     apply_inverse,
     motion_error,
@@ -20,9 +21,8 @@ from owm.model.kinematics import (
     to_station,
     to_view,
 )
-from owm.model.linear import LinearMap, fit_linear_map
-from owm.model.track import LOCAL_LEVEL, Filter, Track, displacement, follow, innovation_variance, next_gain
-from owm.model.transformer import Perceptron
+from owm.motion.linear import LinearMap, fit_linear_map
+from owm.motion.track import LOCAL_LEVEL, Filter, Track, displacement, follow, innovation_variance, next_gain
 
 
 class Statistics(NamedTuple):

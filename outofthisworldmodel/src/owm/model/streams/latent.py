@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
-from owm.data import Episodes
-from owm.model.bilinear import COLUMNS, bilinear_change, fit_bilinear_map
+from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
-from owm.model.kinematics import decode_penalty, pose, quaternion, rotation
-from owm.model.linear import transitions
 from owm.model.transformer import Linear, Perceptron
+from owm.motion.bilinear import COLUMNS, bilinear_change, fit_bilinear_map
+from owm.motion.kinematics import decode_penalty, pose, quaternion, rotation
+from owm.motion.linear import transitions
 
 SIZES = (3, 3, 9, 3)
 """Features of a token: position, velocity, rotation matrix, rate."""

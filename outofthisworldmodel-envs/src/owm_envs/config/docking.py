@@ -1,0 +1,263 @@
+"""The configuration of a docking environment: frozen, validated, and readable from TOML, JSON or keyword arguments."""
+
+import os
+import tomllib
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
+
+from owm_envs.config.parts import (
+    EARTH_RADIUS,
+    NOISE_PRESETS,
+    REWARD_PRESETS,
+    Box,
+    ChaserConfig,
+    ChiefConfig,
+    DockingTolerances,
+    ForceConfig,
+    Frozen,
+    NoiseConfig,
+    Positive,
+    RandomizationConfig,
+    ResetConfig,
+    RewardConfig,
+    unit,
+)
+from owm_envs.config.text import mistakes, toml
+from owm_envs.station.hull import load_hull
+from owm_envs.station.ports import PORT_NAMES, port_index
+from owm_envs.words import unknown
+
+Fidelity = Literal["iss", "iss-hcw", "iss-numerical"]
+FIDELITIES: tuple[str, ...] = get_args(Fidelity)
+
+
+class Structure(NamedTuple):
+    """All of a configuration that its compiled programs depend on: equal structures share programs.
+
+    The rest is numbers, which reach a program as `Params`.
+    """
+
+    fidelity: str
+    precision: str
+    forces: ForceConfig
+    goal_error: bool
+    scaling: tuple | None
+    """With `normalize`: the reference epoch and the wrench limits, by which actions and observations are scaled."""
+    steps_per_action: int
+    collision_terminates: bool
+    on_off: bool
+    """Whether thrusters are on-off."""
+    longest_delay: int
+    """Simulation steps of commands to keep."""
+    randomized: bool
+    biased: bool
+    """Whether sensors have a time-correlated error."""
+    port_slots: int
+    """Length of `Params.port_choices`."""
+    hull: str | int
+    """"iss", or the number of boxes of another hull."""
+    obstacles: int
+
+
+class DockingConfig(Frozen):
+    """Everything that defines a docking environment; unknown keys are errors that name the nearest known one."""
+
+    fidelity: Fidelity = "iss-numerical"
+    noise: NoiseConfig = NOISE_PRESETS["none"]
+    reward: RewardConfig = REWARD_PRESETS["data"]
+    ports: Annotated[tuple[str, ...], Field(min_length=1)] = PORT_NAMES
+    """Ports an episode may be assigned, uniformly."""
+    goal_error: bool = True
+    """Append the 12-number goal-error block to the observation."""
+    normalize: bool = False
+    """Actions in [-1, 1], scaled observations, epoch as an offset from the reference."""
+    precision: Literal["float32", "float64"] = "float64"
+    dt: Annotated[Positive, unit("s")] = 0.05
+    """Simulation step."""
+    steps_per_action: Annotated[int, Field(ge=1), unit("steps")] = 1
+    """Simulation steps over which an action is held."""
+    horizon: Annotated[Positive, unit("s")] = 360.0
+    """Time after which an episode is truncated."""
+    escape_radius: Annotated[Positive, unit("m")] = 750.0
+    """Distance from the station origin beyond which an episode ends."""
+    collision_terminates: bool = True
+    hull: Literal["iss"] | Annotated[tuple[Box, ...], Field(min_length=1), unit("m")] = "iss"
+    """Keep-out boxes of the station: (lower, upper) corners in the station frame. `load_config` also takes the path
+    of a TOML file that has them as `boxes`."""
+    obstacles: Annotated[tuple[Box, ...], unit("m")] = ()
+    """Extra keep-out boxes, in the same form."""
+    reset: ResetConfig = ResetConfig()
+    docking: DockingTolerances = DockingTolerances()
+    chief: ChiefConfig = ChiefConfig()
+    chaser: ChaserConfig = ChaserConfig()
+    forces: ForceConfig = ForceConfig()
+    randomization: RandomizationConfig = RandomizationConfig()
+
+    @field_validator("noise", mode="before")
+    @classmethod
+    def _noise_preset(cls, value):
+        return _preset(value, NOISE_PRESETS, "noise")
+
+    @field_validator("reward", mode="before")
+    @classmethod
+    def _reward_preset(cls, value):
+        return _preset(value, REWARD_PRESETS, "reward")
+
+    @field_validator("ports")
+    @classmethod
+    def _known_ports(cls, value):
+        for name in value:
+            port_index(name)
+        return value
+
+    @field_validator("hull", "obstacles")
+    @classmethod
+    def _corners_in_order(cls, value):
+        for lower, upper in () if value == "iss" else value:
+            if not all(low < high for low, high in zip(lower, upper)):
+                raise ValueError(f"a box needs its lower corner below its upper one on each axis, got {lower}, {upper}")
+        return value
+
+    @model_validator(mode="after")
+    def _consistent(self):
+        if self.horizon < self.dt * self.steps_per_action:
+            raise ValueError("horizon must hold at least one action (dt * steps_per_action)")
+        chief, ranges = self.chief, self.randomization
+        least, most = (chief.eccentricity + offset for offset in ranges.chief_eccentricity)
+        if not (0 <= least and most < 1):
+            raise ValueError(f"chief.eccentricity with its range must stay from 0 to below 1, got {least} to {most}")
+        if (least := chief.semi_major_axis + ranges.chief_semi_major_axis[0]) <= EARTH_RADIUS:
+            raise ValueError(f"chief.semi_major_axis with its range must stay above {EARTH_RADIUS} m, got {least}")
+        return self
+
+    @property
+    def decision_dt(self) -> float:
+        """Seconds from one action to the next."""
+        return self.dt * self.steps_per_action
+
+    @property
+    def structure(self) -> Structure:
+        """What the compiled programs depend on."""
+        chaser, ranges = self.chaser, self.randomization
+        bias = self.noise.bias
+        return Structure(
+            fidelity=self.fidelity,
+            precision=self.precision,
+            forces=self.forces,
+            goal_error=self.goal_error,
+            scaling=(self.chief.reference_epoch, chaser.force_limit, chaser.torque_limit) if self.normalize else None,
+            steps_per_action=self.steps_per_action,
+            collision_terminates=self.collision_terminates,
+            on_off=chaser.thrusters == "on_off",
+            longest_delay=chaser.actuation_delay + ranges.actuation_delay[1],
+            randomized=ranges.active,
+            biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),
+            port_slots=max(len(PORT_NAMES), len(self.ports)),
+            hull=self.hull if self.hull == "iss" else len(self.hull),
+            obstacles=len(self.obstacles),
+        )
+
+    def to_toml(self, *, notes: bool = False) -> str:
+        """The configuration as TOML text that `load_config` reads back; with `notes`, units and bounds as comments."""
+        return toml(self, notes=notes)
+
+
+CONFIG_PRESETS: dict[str, dict[str, Any]] = {
+    "data": {},
+    "rl": {
+        "reward": "rl",
+        "steps_per_action": 20,
+        "collision_terminates": False,
+        "reset": {"radius_min": 100.0, "radius_max": 125.0},
+    },
+}
+"""Named starting points: the paper's data generation, and its reinforcement learning set-up."""
+
+
+def load_config(
+    config: "DockingConfig | Mapping[str, Any] | str | os.PathLike | None" = None,
+    preset: str = "data",
+    **overrides: Any,
+) -> DockingConfig:
+    """Build a configuration from a preset, then a file or mapping, then keyword arguments, later ones winning.
+
+    Args:
+        config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file. Where its `hull` is the path of
+            a file of boxes, as `owm-envs station import` writes it, that is looked for beside the file.
+        preset: a key of `CONFIG_PRESETS`.
+        overrides: fields of `DockingConfig`; nested mappings are merged.
+
+    Raises:
+        ValueError: a field, preset or port is unknown (naming the nearest) or out of bounds; or the file or mapping
+            is for another fidelity than the one named beside it.
+        FileNotFoundError: `config` names no file.
+    """
+    if preset not in CONFIG_PRESETS:
+        raise ValueError(unknown("preset", preset, CONFIG_PRESETS))
+    values = _expand(CONFIG_PRESETS[preset])
+    given: Mapping[str, Any] = {}
+    if isinstance(config, DockingConfig):
+        if preset != "data":
+            raise ValueError(f"preset {preset!r} would change the whole DockingConfig given: pass one or the other")
+        values = config.model_dump()
+    elif isinstance(config, Mapping):
+        given = config
+    elif config is not None:
+        with open(config, "rb") as file:
+            try:
+                given = tomllib.load(file)
+            except tomllib.TOMLDecodeError as error:
+                raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
+        if _is_path(given.get("hull")):
+            given["hull"] = os.path.join(os.path.dirname(os.fspath(config)), given["hull"])
+    if (asked := given.get("fidelity")) != (named := overrides.get("fidelity", asked)) and asked is not None:
+        raise ValueError(f"config is for fidelity {asked!r}, not {named!r}: make the environment id that goes with it")
+    values = _merge(_merge(values, _expand(given)), _expand(overrides))
+    _check_keys(values, DockingConfig, "")
+    try:
+        return DockingConfig.model_validate(values)
+    except ValidationError as error:
+        raise ValueError("invalid configuration: " + mistakes(error, DockingConfig)) from None
+
+
+def _preset(value, presets, kind):
+    if isinstance(value, str):
+        if value not in presets:
+            raise ValueError(unknown(f"{kind} preset", value, presets))
+        return presets[value]
+    return value
+
+
+def _expand(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Spell named presets out, so that later values change single fields of them."""
+    expanded = dict(values)
+    for key, presets in (("noise", NOISE_PRESETS), ("reward", REWARD_PRESETS)):
+        if key in expanded:
+            value = _preset(expanded[key], presets, key)
+            expanded[key] = value.model_dump() if isinstance(value, BaseModel) else value
+    if _is_path(expanded.get("hull")):
+        expanded["hull"] = load_hull(expanded["hull"]).tolist()
+    return expanded
+
+
+def _is_path(hull: Any) -> bool:
+    return isinstance(hull, (str, os.PathLike)) and hull != "iss"
+
+
+def _merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in update.items():
+        old = merged.get(key)
+        merged[key] = _merge(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _check_keys(values: Mapping[str, Any], model: type[BaseModel], prefix: str) -> None:
+    for key, value in values.items():
+        if key not in model.model_fields:
+            raise ValueError(unknown("configuration key", prefix + str(key), [prefix + k for k in model.model_fields]))
+        nested = model.model_fields[key].annotation
+        if isinstance(value, Mapping) and isinstance(nested, type) and issubclass(nested, BaseModel):
+            _check_keys(value, nested, f"{prefix}{key}.")

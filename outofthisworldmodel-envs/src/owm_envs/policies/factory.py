@@ -1,0 +1,37 @@
+"""Scripted policies by name."""
+
+from typing import Any
+
+from owm_envs.env import DockingEnv
+from owm_envs.episode import POLICY_NAMES
+from owm_envs.policies.base import ScriptedPolicy, Vehicle
+from owm_envs.policies.geodesic import DockGeodesicIntegralPolicy, DockGeodesicPolicy, prepared
+from owm_envs.policies.scripted import DockPolicy, ExcitePolicy, OrbitPolicy, RandomPolicy
+from owm_envs.words import unknown
+
+
+def make_policy(name: str, env: DockingEnv, *, geodesic_field: Any = None) -> ScriptedPolicy:
+    """Build a scripted policy for an environment's chaser, layout and decision rate.
+
+    Args:
+        name: one of `POLICY_NAMES`.
+        geodesic_field: a `GeodesicField` for those that follow one; the station's own when None.
+
+    Raises:
+        ValueError: the name is unknown (naming the nearest).
+    """
+    if name not in POLICY_NAMES:
+        raise ValueError(unknown("policy", name, POLICY_NAMES))
+    chaser, decision_dt = env.config.chaser, env.config.decision_dt
+    vehicle = Vehicle(chaser.mass, chaser.inertia, chaser.force_limit, chaser.torque_limit, decision_dt)
+    layout = env.layout
+    if name == "random":
+        return RandomPolicy(vehicle, layout=layout)
+    if name == "orbit":
+        return OrbitPolicy(vehicle, layout=layout)
+    if name == "dock":
+        return DockPolicy(vehicle, layout=layout)
+    if name == "excite":
+        return ExcitePolicy(vehicle, layout=layout, hold=max(1, round(2.0 / decision_dt)))
+    kinds = {kind.name: kind for kind in (DockGeodesicPolicy, DockGeodesicIntegralPolicy)}
+    return kinds[name](vehicle, *prepared(geodesic_field), layout=layout)

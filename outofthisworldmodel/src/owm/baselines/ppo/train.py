@@ -1,0 +1,230 @@
+"""The PPO baseline: Stable-Baselines3 on the native vector environment, resumable, the best policy by validation."""
+
+import csv
+import json
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from rich.console import Console
+from stable_baselines3 import PPO
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecNormalize
+
+from owm.baselines.ppo.config import PPOConfig
+from owm.baselines.ppo.policy import save_policy
+from owm.baselines.ppo.vec_env import make_env
+from owm.training.metrics import Metrics
+from owm_envs.files import write_atomically
+from owm_envs.station import TRAIN_PORTS
+
+_VALIDATION_SEED = 2**41
+"""Starts that neither training nor any evaluation flies."""
+_CURVE = ("step", "seconds", "steps_per_second", "train/return", "validation/return", "validation/docked")
+
+
+def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> dict[str, Any]:
+    """Train to `config.steps`, or go on from the latest save; the best policy by validation return is `out/policy`.
+
+    `out` also holds `state/STEP` (Stable-Baselines3's own file and the running statistics), `metrics.jsonl`,
+    `tensorboard/`, and the learning curve as `curve.csv` and `curve.png`. Unlike a world model's, a resumed run is not
+    the uninterrupted one bit for bit: episodes in flight at the kill start anew.
+
+    Args:
+        config: `steps` may be raised to go on with a finished run; all else must be as `out` has it.
+        out: folder of the run.
+        console: for progress.
+
+    Returns:
+        The last line of the metrics.
+
+    Raises:
+        ValueError: `out` holds a run of another configuration.
+    """
+    console = Console() if console is None else console
+    _claim(config, out)
+    torch.set_num_threads(1)  # a small network gains nothing from more, and they would disturb the simulation
+    saves = sorted((path for path in (out / "state").glob("*") if path.name.isdigit()), key=lambda path: int(path.name))
+    step = int(saves[-1].name) if saves else 0
+    venv = make_env(config, config.envs, config.seed + step, training=True)
+    trial = make_env(config, config.validation_episodes, _VALIDATION_SEED, training=False)
+    trial.obs_rms = venv.obs_rms
+    if saves:
+        model = PPO.load(saves[-1] / "model.zip", env=venv, device="cpu")
+        _restore_statistics(venv, json.loads((saves[-1] / "statistics.json").read_text(encoding="utf-8")))
+        trial.obs_rms = venv.obs_rms
+        set_random_seed(config.seed + step)
+    else:
+        model = _new_model(config, venv)
+    with Metrics(out, step or -1) as metrics:
+        lines = _lines(metrics.file)
+        spent = lines[-1]["seconds"] if lines else 0.0
+        best = max((line["validation/return"] for line in lines if line["step"]), default=-np.inf)
+        if not lines:
+            lines.append({"step": 0, "seconds": 0.0, **_validate(model, trial)})
+            metrics.write(lines[-1])
+        while model.num_timesteps < config.steps:
+            began, before = time.perf_counter(), model.num_timesteps
+            model.learn(config.validate_every * config.rollout * config.envs, reset_num_timesteps=False)
+            # The time to validate is not the method's: it is left out of the curve.
+            took = time.perf_counter() - began
+            spent += took
+            returns = [episode["r"] for episode in model.ep_info_buffer]
+            line = {
+                "step": model.num_timesteps,
+                "seconds": spent,
+                "steps_per_second": (model.num_timesteps - before) / took,
+                **({"train/return": float(np.mean(returns))} if returns else {}),
+                **_validate(model, trial),
+            }
+            if line["validation/return"] > best:
+                best = line["validation/return"]
+                _export(model, venv, out / "policy", config, line)
+            lines.append(line)
+            metrics.write(line)
+            _save(model, venv, out / "state")
+            _write_curve(lines, out)
+            console.print(
+                f"{line['step']:>11,} of {config.steps:,} decisions  {line['steps_per_second']:7,.0f}/s  "
+                f"return {line.get('train/return', np.nan):9.1f}  validation {line['validation/return']:9.1f}  "
+                f"docked {line['validation/docked']:4.0%}  collided {line['validation/collided']:4.0%}"
+            )
+    venv.close()
+    trial.close()
+    return lines[-1]
+
+
+def _new_model(config: PPOConfig, venv: VecNormalize) -> PPO:
+    widths = list(config.network)
+    return PPO(
+        "MlpPolicy",
+        venv,
+        learning_rate=config.learning_rate,
+        n_steps=config.rollout,
+        batch_size=config.batch,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        gae_lambda=config.gae_lambda,
+        clip_range=config.clip,
+        ent_coef=config.entropy_weight,
+        vf_coef=config.value_weight,
+        target_kl=config.target_kl,
+        policy_kwargs={"net_arch": {"pi": widths, "vf": widths}},
+        seed=config.seed,
+        device="cpu",  # a small network: faster than on a GPU
+    )
+
+
+def _validate(model: PPO, trial: VecNormalize) -> dict[str, float]:
+    """Fly the fixed starts with the mean action: mean return, share docked and collided, median closest approach."""
+    ports = np.resize(TRAIN_PORTS, trial.num_envs)
+    trial.seed(_VALIDATION_SEED)
+    trial.set_options([{"dock_port": str(port)} for port in ports])
+    observation = trial.reset()
+    ended: dict[int, dict[str, Any]] = {}
+    while len(ended) < trial.num_envs:
+        observation, _, done, infos = trial.step(model.predict(observation, deterministic=True)[0])
+        for slot in np.flatnonzero(done).tolist():
+            ended.setdefault(slot, infos[slot])
+    rows = list(ended.values())
+    return {
+        "validation/return": float(np.mean([row["episode"]["r"] for row in rows])),
+        "validation/docked": float(np.mean([row["outcome"] == "docked" for row in rows])),
+        "validation/collided": float(np.mean([row["collided"] for row in rows])),
+        "validation/closest_m": float(np.median([row["closest_distance"] for row in rows])),
+    }
+
+
+def _export(model: PPO, venv: VecNormalize, folder: Path, config: PPOConfig, line: dict[str, Any]) -> None:
+    """Write the actor as `owm.baselines.ppo.policy` flies it."""
+    linear = [layer for layer in model.policy.mlp_extractor.policy_net if hasattr(layer, "weight")]
+    weights = {"mean": venv.obs_rms.mean, "variance": venv.obs_rms.var}
+    for i, layer in enumerate([*linear, model.policy.action_net]):
+        weights[f"weight.{i}"] = layer.weight.detach().cpu().numpy()
+        weights[f"bias.{i}"] = layer.bias.detach().cpu().numpy()
+    about = {
+        "env": config.env,
+        "noise": config.noise,
+        "observe_field": config.observe_field,
+        "observation": list(venv.get_attr("layout")[0].names),
+        "step": line["step"],
+        "validation_return": line["validation/return"],
+        "run": config.model_dump(mode="json"),
+    }
+    save_policy(folder, weights, about)
+
+
+def _save(model: PPO, venv: VecNormalize, folder: Path) -> None:
+    """Keep what the run goes on from; the folder named by the step is whole or not there."""
+    fresh, done = folder / "writing", folder / str(model.num_timesteps)
+    shutil.rmtree(fresh, ignore_errors=True)
+    fresh.mkdir(parents=True)
+    model.save(fresh / "model.zip")
+    (fresh / "statistics.json").write_text(json.dumps(_statistics(venv)), encoding="utf-8")
+    os.replace(fresh, done)
+    for other in folder.iterdir():
+        if other != done:
+            shutil.rmtree(other)
+
+
+def _statistics(venv: VecNormalize) -> dict[str, Any]:
+    return {
+        name: {"mean": np.asarray(part.mean).tolist(), "var": np.asarray(part.var).tolist(), "count": float(part.count)}
+        for name, part in (("obs_rms", venv.obs_rms), ("ret_rms", venv.ret_rms))
+    }
+
+
+def _restore_statistics(venv: VecNormalize, stored: dict[str, Any]) -> None:
+    for name, part in stored.items():
+        statistics = RunningMeanStd(shape=np.shape(part["mean"]))
+        statistics.mean, statistics.var = np.asarray(part["mean"]), np.asarray(part["var"])
+        statistics.count = part["count"]
+        setattr(venv, name, statistics)
+
+
+def _claim(config: PPOConfig, out: Path) -> None:
+    """Mark the folder as this run's, or refuse it; `steps` may change."""
+    mine = config.model_dump(mode="json", exclude={"steps"})
+    file = out / "run.json"
+    if file.exists():
+        found = json.loads(file.read_text(encoding="utf-8"))
+        parts = [name for name in {**mine, **found} if mine.get(name) != found.get(name)]
+        if parts:
+            raise ValueError(f"{out} holds a run that differs in {', '.join(parts)}: choose another folder")
+        return
+    if out.exists() and any(out.iterdir()):
+        raise ValueError(f"{out} holds something else: choose another folder")
+    write_atomically(file, lambda stream: json.dump(mine, stream, indent=1), text=True)
+
+
+def _lines(file: Path) -> list[dict[str, Any]]:
+    if not file.exists():
+        return []
+    return [json.loads(text) for text in file.read_text(encoding="utf-8").splitlines()]
+
+
+def _write_curve(lines: list[dict[str, Any]], out: Path) -> None:
+    """Write the learning curve as CSV and picture."""
+    from matplotlib.figure import Figure
+
+    from owm.report.plots import save_figure
+
+    def write(file) -> None:
+        rows = csv.DictWriter(file, _CURVE, extrasaction="ignore", restval="", lineterminator="\n")
+        rows.writeheader()
+        rows.writerows(lines)
+
+    write_atomically(out / "curve.csv", write, text=True)
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    for name, label in (("train/return", "exploring"), ("validation/return", "mean action, fixed starts")):
+        points = [(line["step"], line[name]) for line in lines if name in line]
+        axes.plot(*zip(*points), marker=".", label=label)
+    axes.set(xlabel="decisions", ylabel="episode return", title=f"PPO, {lines[-1]['seconds'] / 60:.0f} min of training")
+    axes.legend()
+    save_figure(figure, out / "curve.png")

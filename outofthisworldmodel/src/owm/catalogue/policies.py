@@ -1,0 +1,247 @@
+"""Every policy by the name that commands and reports use, and what each of them is given."""
+
+import difflib
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from owm.catalogue.hub import PRETRAINED, is_repository, local_folder
+from owm_envs.config import DockingConfig
+
+
+class Given(NamedTuple):
+    """What a policy knows beside observation, port, hold pose and the thrusters' limits."""
+
+    hull: str
+    motion: str
+    mass: str
+    noise: str
+    images: str
+    feedback: str
+    data: str
+
+
+GIVEN_COLUMNS = (
+    "hull map",
+    "equations of motion",
+    "mass and inertia",
+    "noise model",
+    "images",
+    "feedback of past errors",
+    "learned from",
+)
+_MAP = "yes: geodesic field and clearance"
+_PROFILE = "only through the profile's braking limits"
+_CORRECTOR = "yes: bias corrector"
+_KINEMATICS = "kinematics of a rigid body; accelerations"
+_EXACT = "the simulator's own, started from the measurement"
+GIVEN: dict[str, Given] = {
+    "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "latent world model": Given(
+        _MAP, "none; products of features fitted, the rest learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"
+    ),
+    "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "least-squares-online": Given(
+        _MAP, f"{_KINEMATICS} fitted, then again in flight", _PROFILE, "no", "no", f"{_CORRECTOR}; action map", "corpus"
+    ),
+    "world model, online": Given(
+        _MAP,
+        f"{_KINEMATICS} learned, linear part fitted again in flight",
+        _PROFILE,
+        "no",
+        "no",
+        f"{_CORRECTOR}; action map",
+        "corpus",
+    ),
+    "ekf-mpc": Given(
+        "no: a sphere about the station and a corridor to the port",
+        "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
+        "yes",
+        "yes",
+        "no",
+        "yes: state estimate",
+        "nothing",
+    ),
+    "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
+    "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
+    "ppo": Given("no", "no", "no", "no", "no", "no", "flying, by reward"),
+    "ppo-field": Given("yes: geodesic field", "no", "no", "no", "no", "no", "flying, by reward"),
+    "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
+    "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
+    "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
+    "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
+    "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
+    "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
+}
+"""Keyed by `kind_of` a policy."""
+SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
+NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
+"""What `load_policy` knows beside paths."""
+ONLINE_PREFIX = "online:"
+"""Before the folder of a model whose linear part is to be fitted again in flight."""
+_ONLINE = {"least-squares": "least-squares-online", "world model": "world model, online"}
+_KINDS = {
+    "learned": "world model",
+    "latent": "latent world model",
+    "least_squares": "least-squares",
+    "constant_velocity": "constant-velocity",
+}
+
+
+def is_planned(kind: str) -> bool:
+    """Whether a kind of policy is a world model in the planner."""
+    return kind in ("oracle-mppi", *_ONLINE.values(), *_KINDS.values())
+
+
+def kind_of(policy: str) -> str:
+    """The key of `GIVEN` that a name or path belongs to.
+
+    Raises:
+        ValueError: neither a known name (naming the nearest) nor the checkpoint of a model to plan with.
+        FileNotFoundError: a path at which there is nothing.
+    """
+    if policy in NAMES:
+        return policy
+    if policy == "least-squares":
+        raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
+    if policy.startswith(ONLINE_PREFIX):
+        start = kind_of(_folder(policy))
+        if start not in _ONLINE:
+            raise ValueError(f"{ONLINE_PREFIX} needs a model with a linear part ({', '.join(_ONLINE)}), got a {start}")
+        return _ONLINE[start]
+    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
+        header = checkpoint_folder(policy) / "config.json"
+        try:
+            found = json.loads(header.read_text(encoding="utf-8"))
+            kind = found["kind"]
+            if kind == "ppo":
+                return "ppo-field" if found["about"]["observe_field"] else "ppo"
+            if kind == "learned" and found.get("config", {}).get("stream") == "latent":
+                kind = "latent"
+        except (OSError, ValueError, KeyError, TypeError):
+            raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
+        if kind not in _KINDS:
+            raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
+        return _KINDS[kind]
+    if any(mark in policy for mark in (os.sep, "/", ".")):
+        raise FileNotFoundError(f"there is no checkpoint at {policy!r}")
+    near = difflib.get_close_matches(policy, (*NAMES, "least-squares"), n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    raise ValueError(f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint")
+
+
+def _folder(policy: str) -> str:
+    """The path in a policy's name: all of it, or what stands after "online:"."""
+    return policy.removeprefix(ONLINE_PREFIX)
+
+
+def checkpoint_folder(path: str) -> Path:
+    """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
+    folder = local_folder(path)
+    inside = (folder / part for part in ("model", "policy"))
+    return next((part for part in inside if (part / "config.json").is_file()), folder)
+
+
+def load_policy(
+    policy: str, config: DockingConfig, num_slots: int = 1, seed: int = 0, planner: Any = None, field: Any = None
+) -> Any:
+    """Build a policy for a batch of slots.
+
+    Args:
+        policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
+            to fly; `online:FOLDER` fits the linear part of either again in flight.
+        config: the environment to fly.
+        num_slots: flights side by side.
+        seed: decides the policy's own draws.
+        planner: a `PlannerConfig` for planned policies; the standard one when None.
+        field: the `GeodesicField` for policies that use one; the station's own when None.
+
+    Returns:
+        A policy as `owm.scores.docking.Policy` describes it, with a `name`.
+
+    Raises:
+        ValueError: the name is unknown, the checkpoint damaged, or the decision rate not the model's.
+        FileNotFoundError: there is nothing at the path.
+    """
+    kind = kind_of(policy)
+    from owm_envs.env import DockingEnv
+    from owm_envs.policies import VectorPolicy, make_policy
+
+    env = DockingEnv(config)
+    if kind in SCRIPTED:
+        return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
+    if kind == "ekf-mpc":
+        from owm.baselines.classical import classical_policy
+
+        return VectorPolicy(classical_policy(env), seed=seed)
+    from owm_envs.field import load_field
+
+    name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
+    if field is None and kind != "ppo":
+        field = load_field()
+    if kind in ("ppo", "ppo-field"):
+        from owm.baselines.ppo.policy import PPOPolicy
+
+        flown = PPOPolicy(checkpoint_folder(policy), config, num_slots, field if kind == "ppo-field" else None)
+        flown.name = name
+        return flown
+    from owm.planning.policy import PlannerPolicy
+
+    model, learner = load_model(policy, config), None
+    if kind in _ONLINE.values():
+        from owm.baselines.online import OnlineLeastSquares, OnlineSkip
+
+        learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
+        if kind == _ONLINE["world model"]:
+            learner = OnlineSkip(learner)
+    made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
+    made.name = name
+    return made
+
+
+def differences(header: dict[str, Any], config: DockingConfig) -> list[str]:
+    """How what a checkpoint was trained on differs from the environment, where its `config.json` tells."""
+    told = []
+    for part in ("fidelity", "noise"):
+        seen = [facts[part] for facts in header.get("about", {}).get("corpus", []) if part in facts]
+        now = config.model_dump(mode="json")[part]
+        if seen and now not in seen:
+            told.append(f"was trained on other {part} than it flies in: {_short(seen)}; now {_short([now])}")
+    return told
+
+
+def _short(values: list[Any]) -> str:
+    """Values in a few words: of a noise model, what is not zero."""
+    texts = [
+        value if isinstance(value, str) else str({k: v for k, v in value.items() if v and k != "bias"})
+        for value in values
+    ]
+    return ", ".join(dict.fromkeys(texts))
+
+
+def load_model(policy: str, config: DockingConfig) -> Any:
+    """The world model behind "oracle-mppi" or a checkpoint.
+
+    Raises:
+        ValueError: the name is unknown or has no world model, or the checkpoint is damaged.
+        FileNotFoundError: there is nothing at the path.
+    """
+    kind = kind_of(policy)
+    if kind == "oracle-mppi":
+        from owm.baselines.exact import ExactDynamics
+
+        return ExactDynamics(config.fidelity, config)
+    if policy == "constant-velocity":
+        from owm.baselines.constant_velocity import ConstantVelocity
+
+        return ConstantVelocity()
+    if is_planned(kind):
+        from owm.catalogue.checkpoint import load_world_model
+        from owm.console import announce
+
+        folder = checkpoint_folder(_folder(policy))
+        for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
+            announce(f"note: {policy} {text}")
+        return load_world_model(folder)
+    raise ValueError(f"policy {policy!r} has no world model")

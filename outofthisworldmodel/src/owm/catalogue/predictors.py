@@ -1,0 +1,169 @@
+"""What `owm evaluate prediction` does: predictors by their names, on the same held-out windows of several datasets."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from owm.baselines.constant_velocity import ConstantVelocity
+from owm.baselines.ekf import HELD_COMMANDS, RECORDED_COMMANDS, ErrorStateEKF
+from owm.baselines.exact import ExactDynamics
+from owm.baselines.least_squares import fit_least_squares
+from owm.catalogue.policies import load_model
+from owm.console import announce, bar
+from owm.data.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
+from owm.data.windows import Episodes
+from owm.model.world_model import LearnedWorldModel
+from owm.report.plots import calibration_figure, prediction_figure, save_figure
+from owm.report.tables import calibration_table, error_table
+from owm.report.terminal import print_table
+from owm.scores.calibration import Calibration, calibration
+from owm.scores.prediction import PredictionError, prediction_error
+from owm.training.validation import PLANNER_STYLE
+from owm_envs.config import DockingConfig, load_config
+from owm_envs.files import write_atomically
+
+BASELINES = ("constant-velocity", "least-squares", "ekf", "exact")
+"""Scored beside what is asked for."""
+NAMED = (*BASELINES, "least-squares-action-only")
+"""Predictors that need no checkpoint; those of least squares are fitted to the dataset's train split."""
+HORIZONS = tuple(range(1, 65))
+SPREAD_HORIZONS = (1, 2, 4, 8, 16, 32, 64)
+
+
+def evaluate_prediction(
+    models: Sequence[str],
+    data: Sequence[Path],
+    *,
+    split: str | None = None,
+    windows: int = 256,
+    spread_windows: int = 48,
+    samples: int = 199,
+    seed: int = 0,
+    out: Path = Path("runs/evaluate"),
+) -> tuple[dict[str, list[PredictionError]], dict[str, list[Calibration]]]:
+    """Score open-loop predictions of behaviour and of planner-style flights; print tables, write JSON and pictures.
+
+    Args:
+        models: of `NAMED`, or folders of checkpoints; `BASELINES` are scored beside them on the same instants, the
+            filter with the longest of their histories.
+        data: datasets.
+        split: one of theirs; by default the flights that training sets aside.
+        windows: of each kind in each dataset, for the errors.
+        spread_windows: for the calibration of those whose steps are samples.
+        samples: trajectories of each of these.
+        seed: decides the windows.
+        out: folder for the files.
+
+    Returns:
+        Errors and calibrations by "dataset, kind".
+
+    Raises:
+        ValueError, FileNotFoundError: no such model, dataset or split, or episodes too short.
+    """
+    for option, value in (("windows", windows), ("spread_windows", spread_windows)):
+        if value < 1:
+            raise ValueError(f"{option} must be at least 1, got {value}")
+    errors: dict[str, list[PredictionError]] = {}
+    spreads: dict[str, list[Calibration]] = {}
+    files: list[Path] = []
+    for path in data:
+        train, held_out = training_episodes(path, phases=1)
+        if split is not None:
+            held_out = at_model_rate(read_recordings(path, split))
+        config = dataset_config(path)
+        for kind, others in (("behaviour", True), ("planner-style", False)):
+            part = held_out.flown_by(PLANNER_STYLE, others=others)
+            if part is None:
+                announce(f"{path} holds no {kind} flights")
+                continue
+            group = f"{Path(path).name}, {kind}"
+            held = HELD_COMMANDS if kind == "planner-style" else RECORDED_COMMANDS
+            named = {name: predictor(name, config, train, held) for name in (*models, *BASELINES)}
+            history = max(model.history_length for model in named.values())
+            scored = (named | {"ekf": replace(named["ekf"], history_length=history)}).values()
+            errors[group], spreads[group] = [], []
+            with bar(f"predicting {group}", "models") as update:
+                for done, model in enumerate(scored):
+                    update(done, len(scored), model.name)
+                    # The same instants for all, whatever each wants to know of what went before.
+                    whole, own = history + max(HORIZONS), model.history_length + max(HORIZONS)
+                    with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
+                        drawn = part.windows(whole, windows, seed=seed).last(own)
+                        errors[group].append(prediction_error(model, drawn, HORIZONS))
+                        if outcome := sampled_outcome(model):
+                            drawn = part.windows(whole, spread_windows, seed=seed + 1).last(own)
+                            spreads[group].append(
+                                calibration(model, drawn, SPREAD_HORIZONS, samples=samples, outcome=outcome, seed=seed)
+                            )
+                update(len(scored), len(scored))
+            print_table(error_table(errors[group]), f"{group}: mean prediction error")
+            if spreads[group]:
+                print_table(calibration_table(spreads[group]), f"{group}: samples against outcomes")
+            files = write_predictions(errors, spreads, Path(out))
+    for file in files:
+        print(file)
+    return errors, spreads
+
+
+def write_predictions(
+    errors: dict[str, list[PredictionError]], spreads: dict[str, list[Calibration]], out: Path
+) -> list[Path]:
+    """Write what is scored so far as JSON and pictures."""
+    files = [out / "prediction.json", out / "prediction.png"]
+    rows = {
+        key: [{"group": group} | row for group, each in groups.items() for scored in each for row in scored.rows()]
+        for key, groups in (("error", errors), ("calibration", spreads))
+    }
+    write_atomically(files[0], lambda file: json.dump(rows, file, indent=1), text=True)
+    save_figure(prediction_figure(errors), files[1])
+    if any(spreads.values()):
+        files.append(out / "calibration.png")
+        save_figure(calibration_figure(spreads), files[2])
+    return files
+
+
+def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: tuple[float, ...]) -> Any:
+    """Return a world model by its name or folder.
+
+    Args:
+        name: of `NAMED`, or the folder of a checkpoint, which the model is then called by.
+        config: what the dataset was recorded in: exact dynamics and filter are told of it.
+        train: what least squares is fitted to.
+        process_noise: of the filter.
+
+    Raises:
+        ValueError, FileNotFoundError: there is no such model.
+    """
+    if name == "constant-velocity":
+        return ConstantVelocity()
+    if name == "ekf":
+        return ErrorStateEKF(config, process_noise=process_noise)
+    if name == "exact":
+        return ExactDynamics(config.fidelity, config)
+    if name in ("least-squares", "least-squares-action-only"):
+        return fit_least_squares(train, motion=name == "least-squares")
+    model = load_model(name, config)
+    if isinstance(model, LearnedWorldModel):
+        folder = Path(name)
+        called = folder.parent.name if folder.name == "model" else folder.name
+        return LearnedWorldModel(model.config, model.params, called)
+    return model
+
+
+def sampled_outcome(model: Any) -> str | None:
+    """What a model's samples are samples of: "truth" or "measurement"; None if its steps ignore their keys."""
+    if isinstance(model, LearnedWorldModel):
+        return "measurement"
+    return "truth" if isinstance(model, ErrorStateEKF) else None
+
+
+def dataset_config(path: Path) -> DockingConfig:
+    """Return fidelity and noise of a dataset where it tells; otherwise `iss-numerical` with cooperative noise."""
+    facts = corpus_facts(path)
+    if "noise" not in facts:
+        announce(f"{path} does not tell its noise; the filter takes it for cooperative")
+    return load_config(fidelity=facts.get("fidelity", "iss-numerical"), noise=facts.get("noise", "cooperative"))

@@ -1,0 +1,304 @@
+"""What the commands `owm train`, `owm fly` and `owm evaluate` do."""
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+import jax
+
+from owm.baselines.ppo.config import PPOConfig
+from owm.catalogue.policies import kind_of, load_policy
+from owm.console import announce, bar, console, flying
+from owm.data.recordings import corpus_facts, training_episodes
+from owm.planning.config import PlannerConfig
+from owm.report.page import Table
+from owm.report.plots import save_figure, trajectory_figure
+from owm.report.prediction import prediction_blocks
+from owm.report.tables import docking_table, port_table
+from owm.report.terminal import print_table
+from owm.scores.docking import check_identical_starts, evaluation_config, fly_episodes, trials
+from owm.scores.flights import Flights, write_results
+from owm.scores.prediction import PredictionError, prediction_error
+from owm.study.conditions import CONDITIONS, Condition
+from owm.study.matrix import Matrix, Study, read_matrix
+from owm.study.report import rows_flown, write_matrix_report
+from owm.study.run import run_matrix
+from owm.training.config import TrainConfig
+from owm_envs.config import DockingConfig
+from owm_envs.files import slug
+from owm_envs.station import PORT_NAMES
+
+
+def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | None = None) -> None:
+    """Train a world model on one or several datasets; `training_episodes` says what chooses the weights.
+
+    Raises:
+        FileNotFoundError, ValueError: the dataset is missing or damaged, `out` holds another run, or `wandb` is named
+            but not installed.
+    """
+    if wandb is not None and find_spec("wandb") is None:
+        raise ValueError("--wandb needs Weights & Biases: pip install 'outofthisworldmodel[wandb]'")
+    from owm.training.loop import train as run
+
+    announce(f"reading {', '.join(str(path) for path in data)} ...")
+    episodes, val = training_episodes(data)
+    announce(f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on")
+    about = {"corpus": [corpus_facts(path) for path in data]}
+    result = run(config, episodes, val, out, console=console, about=about, wandb=wandb)
+    print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")
+
+
+def train_ppo(out: Path, config: PPOConfig) -> None:
+    """Train the PPO baseline.
+
+    Raises:
+        ValueError: Stable-Baselines3 is missing, or `out` holds another run.
+    """
+    try:
+        import stable_baselines3  # noqa: F401
+    except ImportError as error:
+        raise ValueError(f"train-ppo needs ({error}): pip install 'outofthisworldmodel[ppo]'") from error
+    from owm.baselines.ppo.train import train_ppo as run
+
+    announce("compiling the simulator ...")
+    last = run(config, out, console)
+    print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
+
+
+def presets() -> None:
+    """Print the training presets: their model, its trained parameters by part, and how they train."""
+    from owm.model.world_model import parameter_counts
+    from owm.training.config import PRESETS
+
+    rows = []
+    for name, config in PRESETS.items():
+        model, counts = config.model, parameter_counts(config.model)
+        size = f"{model.width} x {model.blocks}, {model.heads} heads, window {model.window}"
+        parts = ", ".join(f"{part.replace('_', ' ')} {count:,}" for part, count in counts.items())
+        rows.append([name, model.stream, size, f"{sum(counts.values()):,}", parts])
+    print_table(Table(["preset", "stream", "width x blocks", "parameters", "of which"], rows), "training presets")
+
+
+def fly(
+    policy: str,
+    port: str,
+    *,
+    flights: int = 1,
+    seed: int = 0,
+    shell: str = "100-225",
+    noise: str = "cooperative",
+    fidelity: str = "iss-numerical",
+    out: Path = Path("runs/fly"),
+    plot: bool = False,
+) -> Flights:
+    """Fly a policy to one port, print a table, and write CSV, JSON and, if asked, a picture.
+
+    Args:
+        policy: as `load_policy` takes it.
+        port: name of the docking port.
+        flights: how many, each from a start of its own.
+        seed: decides the starts.
+        shell: a key of `SHELLS`.
+        noise: a preset of sensor noise.
+        fidelity: of the simulation.
+        out: folder for the files.
+        plot: draw the trajectories.
+
+    Raises:
+        ValueError, FileNotFoundError: an unknown policy, port, shell, noise preset or fidelity.
+    """
+    kind_of(policy)
+    config = evaluation_config(shell, noise=noise, fidelity=fidelity)
+    seeds, ports = trials([port], flights, seed)
+    flown = fly_named(policy, config, seeds, ports, seed=seed)
+    files = write_results({flown.policy: flown}, out)
+    if plot:
+        picture = Path(out) / f"{slug(policy)}_{port}.png"
+        save_figure(trajectory_figure(flown), picture)
+        files.append(picture)
+    print_table(flight_table(flown), f"{flown.policy} to {port}")
+    for file in files:
+        print(file)
+    return flown
+
+
+def fly_named(
+    policy: str,
+    config: DockingConfig,
+    seeds,
+    ports,
+    *,
+    seed: int = 0,
+    slots: int | None = None,
+    planner: PlannerConfig | None = None,
+    name: str | None = None,
+) -> Flights:
+    """Load a policy and fly it behind a progress bar.
+
+    Args:
+        policy: as `load_policy` takes it.
+        config: the environment.
+        seeds, ports: as `fly_episodes` takes them.
+        seed: of the policy's own draws.
+        slots: most flights side by side.
+        planner: of planned policies.
+        name: what to call it.
+    """
+    slots = min(slots or len(seeds), len(seeds))
+    announce("compiling the simulator and the policy, once: later runs find them in the cache ...")
+    flown_by = load_policy(policy, config, slots, seed, planner)
+    name = name or flown_by.name
+    with flying(name, len(seeds), slots) as progress:
+        return fly_episodes(flown_by, config, seeds, ports, progress, slots=slots, name=name)
+
+
+def evaluate_docking(
+    policies: Sequence[str],
+    *,
+    flights: int = 50,
+    ports: Sequence[str] = (),
+    seed: int = 0,
+    shell: str = "100-225",
+    noise: str = "cooperative",
+    slots: int = 50,
+    out: Path = Path("runs/evaluate"),
+    fresh: bool = False,
+    processes: int = 1,
+) -> list[Flights]:
+    """Score policies on identical starts; print tables, write a report, CSV, JSON and pictures.
+
+    A killed run goes on at the port where it was.
+
+    Args:
+        policies: each as `load_policy` takes it.
+        flights: to each port.
+        ports: names; all when empty.
+        seed, shell, noise: as for `fly`.
+        slots: most flights side by side.
+        out: folder for the files.
+        fresh: fly again what `out` holds of other settings.
+        processes: that fly, as for `evaluate_matrix`.
+
+    Raises:
+        ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset, or `out` holds flights of other
+            settings.
+    """
+    if not policies:
+        raise ValueError("name at least one policy")
+    short = ["/".join(Path(policy).parts[-2:]) for policy in policies]
+    labels = policies if len(set(short)) < len(short) else short
+    study = Study(title="Docking", policies=tuple(labels), figures=True, trajectories=tuple(labels))
+    if len(policies) > 1:
+        study = study.model_copy(update={"against": (labels[-1],)})
+    matrix = Matrix(
+        seed=seed, flights=flights, ports=ports or PORT_NAMES, policies=dict(zip(labels, policies)), studies=(study,)
+    )
+    conditions = {"nominal": Condition(f"{noise} noise, starts {shell} m out", shell, noise)}
+    command = f"owm evaluate docking {' '.join(policies)} --flights {flights} --seed {seed} --shell {shell}"
+    command += f" --noise {noise}" + (f" --ports {' '.join(ports)}" if ports else "")
+    files, flown = _run_and_report(
+        matrix, Path(out), command, conditions=conditions, slots=slots, fresh=fresh, processes=processes
+    )
+    scored = [seeds[0] for seeds in flown.values()]
+    files += write_results({each.policy: each for each in scored}, out)
+    starts = check_identical_starts(scored)
+    title = f"{len(scored[0])} flights each from the same starts (digest {starts}), {shell} m"
+    print_table(docking_table(scored), title)
+    print_table(port_table(scored))
+    for file in files:
+        print(file)
+    return scored
+
+
+def evaluate_matrix(
+    table: Path,
+    *,
+    out: Path = Path("runs/matrix"),
+    slots: int = 50,
+    fresh: bool = False,
+    fly: bool = True,
+    processes: int = 1,
+    prediction: Path | None = None,
+) -> None:
+    """Fly a declared table of policies, planner variants and conditions, and report on it.
+
+    Args:
+        table: TOML file, as `Matrix` describes it.
+        out: folder for everything; a killed run goes on at the port where it was.
+        slots: most flights side by side.
+        fresh: fly again what `out` holds of other settings.
+        fly: or only report on the rows that are complete.
+        processes: that fly, on equal shares of the cores.
+        prediction: folder of `owm evaluate prediction`, for the report.
+
+    Raises:
+        ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
+    """
+    matrix, out = read_matrix(Path(table)), Path(out)
+    command = f"owm evaluate matrix {Path(table).name} --slots {slots} --processes {processes}"
+    extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
+    files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly, processes=processes)
+    for study in matrix.studies:
+        if rows := rows_flown(matrix, study, flown):
+            print_table(docking_table(list(rows.values())), study.title)
+    for file in files:
+        print(file)
+
+
+def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
+    said = ""
+    with bar("flying", "flights") as update:
+
+        def report(done: int, total: int, what: str, how_far: str) -> None:
+            nonlocal said
+            if what != said:
+                said = what
+                announce(f"{done}/{total} flights; {what}")
+            update(done, total, how_far)
+
+        flown = run_matrix(matrix, out, conditions=conditions, report=report, **options)
+    if not flown:
+        raise ValueError(f"{out} holds no complete row to report on")
+    return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command, extra=extra), flown
+
+
+def predict(models, episodes, windows: int, seed: int = 0, progress=None) -> list[PredictionError]:
+    """Score models on the same windows, each at the precision it computes in.
+
+    Args:
+        models: world models of one step and history length.
+        episodes: at the model's rate.
+        windows: how many to draw with `seed`.
+        progress: called with (models done, models, name).
+    """
+    horizons = tuple(range(1, 65))
+    drawn = episodes.windows(models[0].history_length + max(horizons), windows, seed=seed)
+    errors = []
+    for done, model in enumerate(models):
+        if progress is not None:
+            progress(done, len(models), model.name)
+        with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
+            errors.append(prediction_error(model, drawn, horizons))
+    if progress is not None:
+        progress(len(models), len(models), "")
+    return errors
+
+
+def flight_table(flights: Flights) -> Table:
+    """One row per flight."""
+    rows = [
+        [
+            str(row["seed"]),
+            row["outcome"] + (", after a collision" if row["collided"] else ""),
+            f"{row['closest_distance']:.2f}",
+            f"{row['closest_speed']:.3f}",
+            f"{row['closest_attitude_deg']:.2f}",
+            f"{row['closest_rate_deg']:.3f}",
+            f"{row['clearance']:.2f}",
+            f"{row['time']:.0f}",
+            f"{row['delta_v']:.1f}",
+        ]
+        for row in flights.rows()
+    ]
+    columns = ["seed", "outcome", "closest m", "m/s", "deg", "deg/s", "least clearance m", "time s", "Δv m/s"]
+    return Table(columns, rows)

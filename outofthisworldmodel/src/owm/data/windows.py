@@ -1,0 +1,198 @@
+"""Recorded episodes as windows for training and scoring, in memory.
+
+Recordings run at 20 Hz, the model steps at 4 Hz: every fifth measurement, and the mean of the five actions between.
+Those of actions held as long as that may run at 4 Hz themselves.
+"""
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from owm.interface import History
+
+STRIDE = 5
+"""20 Hz frames in one model step of 0.25 s."""
+
+
+class Windows(NamedTuple):
+    """A batch of equally long cuts of episodes, none of which crosses an episode's end.
+
+    Attributes:
+        observation: measured views, `dt` apart.
+        action: mean body force (N) and torque (N m) between one view and the next.
+        truth: noiseless views; equal to `observation` where the recording has none.
+    """
+
+    observation: Float[Array, "B L 13"]
+    action: Float[Array, "B L-1 6"]
+    truth: Float[Array, "B L 13"]
+
+    def last(self, length: int) -> "Windows":
+        """The last `length` views of each."""
+        return Windows(self.observation[:, -length:], self.action[:, 1 - length :], self.truth[:, -length:])
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """Episodes at the model's rate, one after the other along the first axis.
+
+    Attributes:
+        observation: (N, 13) measured views, the quaternion continuous along each track.
+        truth: (N, 13) noiseless views.
+        action: (N, 6) mean action from a view to the next; the last row of a track is zero and never used.
+        track: (N,) which track a row belongs to. A recording gives one track per phase at which the five-frame
+            grid may start.
+        episode: (N,) which recording a row came from.
+        policies: behaviour policy of each recording.
+        ports: port of each recording.
+        dt: seconds between rows.
+    """
+
+    observation: np.ndarray
+    truth: np.ndarray
+    action: np.ndarray
+    track: np.ndarray
+    episode: np.ndarray
+    policies: tuple[str, ...]
+    ports: tuple[str, ...]
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.policies)
+
+    @property
+    def steps(self) -> int:
+        """How many transitions the tracks hold."""
+        return len(self.track) - len(np.unique(self.track))
+
+    @property
+    def longest(self) -> int:
+        """Views in the longest track."""
+        return int(np.bincount(self.track).max())
+
+    def digest(self) -> str:
+        """Return a fingerprint of the numbers."""
+        sha = sha256()
+        for array in (self.observation, self.action, self.track):
+            sha.update(np.ascontiguousarray(array).tobytes())
+        return sha.hexdigest()[:16]
+
+    def flown_by(self, policies: Collection[str], *, others: bool = False) -> "Episodes | None":
+        """Return the recordings of some policies, or of all others; None if there are none."""
+        keep = np.array([(policy in policies) != others for policy in self.policies], bool)
+        if not keep.any():
+            return None
+        rows = keep[self.episode]
+        number = np.cumsum(keep, dtype=np.int32) - 1
+        kept = np.flatnonzero(keep)
+        return replace(
+            self,
+            **{name: getattr(self, name)[rows] for name in ("observation", "truth", "action", "track")},
+            episode=number[self.episode[rows]],
+            policies=tuple(self.policies[i] for i in kept),
+            ports=tuple(self.ports[i] for i in kept),
+        )
+
+    def starts(self, length: int, *, check: bool = True) -> Int[np.ndarray, "S"]:
+        """Return every row at which a window of `length` views fits into its track.
+
+        Raises:
+            ValueError: if no track is that long, unless `check` is False.
+        """
+        rows = len(self.track)
+        first = np.arange(max(rows - length + 1, 0))
+        first = first[self.track[first] == self.track[first + length - 1]].astype(np.int32)
+        if check and len(first) == 0:
+            longest = self.longest if rows else 0
+            raise ValueError(f"no window of {length} views fits: the longest episode has {longest} at {self.dt} s")
+        return first
+
+    def windows(self, length: int, count: int | None = None, *, seed: int = 0) -> Windows:
+        """Return windows of `length` views: `count` distinct ones drawn with `seed`, or as many as there are."""
+        starts = self.starts(length)
+        if count is not None and count < len(starts):
+            starts = np.sort(np.random.default_rng(seed).choice(starts, count, replace=False))
+        rows = starts[:, None] + np.arange(length)
+        return Windows(
+            jnp.asarray(self.observation[rows]), jnp.asarray(self.action[rows[:, :-1]]), jnp.asarray(self.truth[rows])
+        )
+
+
+def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "float32") -> Episodes:
+    """Resample recorded episodes to the model's rate.
+
+    Args:
+        episodes: objects with `state` (T + 1, 13) measured views and `action` (T, 6), or (T + 1, 6) whose last, padded
+            row is dropped; optionally `true_state` (T + 1, 13), `policy`, `port`, and `stride`, the frames in one step
+            of the model, `STRIDE` unless given.
+        phases: 1 to 5; at how many offsets the grid starts, of as many frames as are in a step. Every phase is a
+            further track with noise and action means of its own.
+        dtype: of the stored arrays.
+
+    Raises:
+        ValueError: on a wrong shape, a number that is not finite, or no episode long enough for one transition.
+    """
+    if not 1 <= phases <= STRIDE:
+        raise ValueError(f"phases must be 1 to {STRIDE}, got {phases}")
+    observation, truth, action, track, source = [], [], [], [], []
+    policies, ports = [], []
+    tracks = 0
+    for number, episode in enumerate(episodes):
+        seen = np.asarray(episode.state)
+        act = np.asarray(episode.action)
+        true = getattr(episode, "true_state", None)
+        true = seen if true is None else np.asarray(true)
+        if seen.ndim != 2 or seen.shape[1] != 13 or true.shape != seen.shape:
+            raise ValueError(f"episode {number}: state must be (T + 1, 13), got {seen.shape} with truth {true.shape}")
+        act = act[: len(seen) - 1]
+        if act.shape != (len(seen) - 1, 6):
+            raise ValueError(f"episode {number}: action must be ({len(seen) - 1}, 6), got {np.shape(episode.action)}")
+        if not (np.isfinite(seen).all() and np.isfinite(true).all() and np.isfinite(act).all()):
+            raise ValueError(f"episode {number}: state, true_state and action must be finite")
+        policies.append(str(getattr(episode, "policy", "")))
+        ports.append(str(getattr(episode, "port", "")))
+        stride = getattr(episode, "stride", STRIDE)
+        for phase in range(min(phases, stride)):
+            steps = (len(act) - phase) // stride
+            if steps < 1:
+                continue
+            rows = phase + stride * np.arange(steps + 1)
+            mean = act[phase : phase + stride * steps].reshape(steps, stride, 6).mean(axis=1)
+            observation.append(_continuous(seen[rows]).astype(dtype))
+            truth.append(_continuous(true[rows]).astype(dtype))
+            action.append(np.concatenate([mean, np.zeros((1, 6))]).astype(dtype))
+            track.append(np.full(steps + 1, tracks, np.int32))
+            source.append(np.full(steps + 1, number, np.int32))
+            tracks += 1
+    if not observation:
+        raise ValueError(f"no episode holds a transition: {len(policies)} given, {STRIDE + 1} frames needed")
+    return Episodes(
+        *(np.concatenate(parts) for parts in (observation, truth, action, track, source)),
+        policies=tuple(policies),
+        ports=tuple(ports),
+        dt=0.05 * STRIDE,
+    )
+
+
+def _continuous(views: np.ndarray) -> np.ndarray:
+    """Flip quaternion signs so that neighbours along the first axis lie on the same side."""
+    q = views[:, 6:10]
+    flip = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
+    sign = np.concatenate([[1.0], np.cumprod(flip)])
+    views = views.copy()
+    views[:, 6:10] = q * sign[:, None]
+    return views
+
+
+def history_of(
+    observation: Float[Array, "L 13"], action: Float[Array, "L-1 6"], length: int, context: Int[Array, ""] | int
+) -> History:
+    """Cut the history of `length` from the start of a window, as if only its last `context` views existed."""
+    first = length - jnp.asarray(context, jnp.int32)
+    index = jnp.arange(length, dtype=jnp.int32)
+    return History(observation[jnp.maximum(index, first)], action[: length - 1], index >= first)

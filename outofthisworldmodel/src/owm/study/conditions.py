@@ -1,0 +1,142 @@
+"""What a study changes: the environment that is flown, or the planner's map of it; no policy is told of either."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from owm.scores.docking import evaluation_config
+from owm_envs.config import DockingConfig, load_config
+from owm_envs.config.parts import NOISE_PRESETS, ChaserConfig
+from owm_envs.station import hull_boxes
+from owm_envs.words import unknown
+
+Boxes = Float[np.ndarray, "N 2 3"]
+_AXIS = np.ones(3) / np.sqrt(3.0)
+"""Of shifts and turns: no axis of the station is spared."""
+_CHASER, _WHITE = ChaserConfig(), NOISE_PRESETS["cooperative"]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One way to fly the protocol."""
+
+    what: str
+    """For tables: what differs from nominal."""
+    shell: str = "100-225"
+    noise: str = "cooperative"
+    """What policies that know a noise model are told."""
+    fidelity: str = "iss-numerical"
+    hidden: dict[str, Any] = field(default_factory=dict)
+    """Fields of the environment that policies are not told: they are built for the nominal one."""
+    map: Callable[[Boxes], Boxes] | None = None
+    """From the true hull to the one that the planner's field is made of; the truth keeps its hull."""
+
+    def told(self) -> DockingConfig:
+        """The environment that policies are built for."""
+        return evaluation_config(self.shell, noise=self.noise, fidelity=self.fidelity)
+
+    def flown(self) -> DockingConfig:
+        """The environment that they fly."""
+        return load_config(self.told(), **self.hidden)
+
+    def map_boxes(self) -> Boxes | None:
+        """The planner's hull; None for the true one."""
+        return None if self.map is None else self.map(hull_boxes())
+
+
+def shifted(boxes: Boxes, by: float = 0.3) -> Boxes:
+    """Boxes moved `by` metres along (1, 1, 1)."""
+    return boxes + by * _AXIS
+
+
+def turned(boxes: Boxes, by_deg: float = 1.0, piece: float = 4.0) -> Boxes:
+    """Boxes turned about (1, 1, 1) through the origin by a small angle.
+
+    Boxes stay parallel to the axes: they are cut into pieces no longer than `piece` metres, whose centres turn; a
+    piece's corner is off by at most half its diagonal times the angle.
+    """
+    pieces = []
+    for low, high in boxes:
+        count = np.ceil((high - low) / piece).astype(int)
+        size = (high - low) / count
+        places = np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 3)
+        pieces.append(np.stack([low + places * size, low + (places + 1) * size], axis=1))
+    cut = np.concatenate(pieces)
+    centre = cut.mean(axis=1)
+    angle = np.radians(by_deg)
+    # Rodrigues' formula.
+    along = (centre @ _AXIS)[:, None] * _AXIS * (1 - np.cos(angle))
+    moved = centre * np.cos(angle) + np.cross(_AXIS, centre) * np.sin(angle) + along
+    return cut + (moved - centre)[:, None]
+
+
+def without_array(boxes: Boxes) -> Boxes:
+    """Boxes without the wings of the port-side solar arrays that stand up from the truss."""
+    centre = boxes.mean(axis=1)
+    return boxes[~((centre[:, 0] > 25.0) & (centre[:, 2] > 6.0))]
+
+
+def _chaser(what: str, **values: Any) -> Condition:
+    return Condition(what, hidden={"chaser": values})
+
+
+def _scaled(factor: float) -> tuple[float, ...]:
+    return tuple(factor * moment for moment in _CHASER.inertia)
+
+
+_BIAS = {
+    "position": _WHITE.position,
+    "velocity": _WHITE.velocity,
+    "attitude": _WHITE.attitude,
+    "rate": _WHITE.rate,
+    "correlation_time": 100.0,
+}
+
+CONDITIONS: dict[str, Condition] = {
+    "nominal": Condition("cooperative noise, starts 100–225 m out"),
+    "near": Condition("starts 100–125 m out, the paper's shell for reinforcement learning", shell="100-125"),
+    "noncooperative": Condition("noncooperative noise: 1 % of range, 0.03 m/s", noise="noncooperative"),
+    "heavy": _chaser("mass +25 %", mass=1.25 * _CHASER.mass),
+    "light": _chaser("mass −25 %", mass=0.75 * _CHASER.mass),
+    "more inertia": _chaser("inertia +20 % about all axes", inertia=_scaled(1.2)),
+    "less inertia": _chaser("inertia −20 % about all axes", inertia=_scaled(0.8)),
+    "weak axis": _chaser("70 % thrust along the nose's axis, which brakes", thrust_scale=(1, 1, 0.7, 1, 1, 1)),
+    "misaligned": _chaser(
+        "thrust and torque turned by 5 deg about body (1, 1, 1)",
+        misalignment=tuple((np.radians(5.0) * _AXIS).tolist()),
+    ),
+    "on-off": _chaser(
+        "on-off thrusters: multiples of 400 N and 500 N m, pulses of 50 ms at least",
+        thrusters="on_off",
+        thruster_force=400.0,
+        minimum_on_time=0.05,
+    ),
+    "delay": _chaser("thrusters answer five steps of 0.05 s late", actuation_delay=5),
+    "biased": Condition(
+        "navigation bias as large as the white error (0.05 m, 2 mm/s), correlated over 100 s",
+        hidden={"noise": {"bias": _BIAS}},
+    ),
+    "map shifted": Condition("the planner's hull lies 0.3 m off", map=shifted),
+    "map turned": Condition("the planner's hull is turned by 1 deg", map=turned),
+    "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
+}
+CONDITIONS |= {
+    f"{name}, noncooperative": replace(
+        CONDITIONS[name], what=f"{CONDITIONS[name].what}, noncooperative noise", noise="noncooperative"
+    )
+    for name in ("heavy", "weak axis")
+}
+
+
+def condition(name: str) -> Condition:
+    """Look a condition up.
+
+    Raises:
+        ValueError: it is unknown (naming the nearest).
+    """
+    if name not in CONDITIONS:
+        raise ValueError(unknown("condition", name, CONDITIONS))
+    return CONDITIONS[name]
