@@ -164,7 +164,7 @@ def test_a_hull_of_one_s_own(tmp_path):
         load_config(hull=[[[0.0] * 3, [0.0] * 3]])
 
 
-def test_overrides_win_over_a_mapping_and_merge_into_nested_fields(DockingConfig):
+def test_overrides_win_over_a_mapping_and_merge_into_nested_fields():
     config = load_config({"reset": {"radius_min": 110.0}, "dt": 0.1}, dt=0.05, reset={"radius_max": 120.0})
     assert (config.dt, config.reset.radius_min, config.reset.radius_max) == (0.05, 110.0, 120.0)
 

@@ -88,6 +88,7 @@ def schema() -> None:
     """Print the JSON schema of configuration files, for editors."""
     import json
 
+    from owm_envs.config import DockingConfig
     from owm_envs.config.text import json_schema
 
     print(json.dumps(json_schema(DockingConfig), indent=1))
