@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from astrojax.attitude import quat_angle
-from owm_envs.adapters import batch
 from owm_envs.adapters.gymnasium import DockingVectorEnv
+from owm_envs.adapters.seeds import seed_keys
 from owm_envs.env import DockingEnv
 
 STARTS, STEPS = 12, 7200  # of 0.05 s: 360 s
@@ -121,7 +121,7 @@ def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
     first, info = adapter.reset(seed=40)
     assert info["true_state"].dtype == np.float32
     reset, step = quick(jax.vmap(lambda key: env.reset(params, key=key))), quick(jax.vmap(env.step, (None, 0, 0)))
-    state, observation = reset(batch.seed_keys([40, 41]))
+    state, observation = reset(seed_keys([40, 41]))
     np.testing.assert_allclose(first, observation, rtol=1e-6, atol=1e-6)
     wrench = np.array([[300, -200, 100, 50, -40, 30], [0, 0, 0, 0, 0, 0]], np.float32)
     for _ in range(20):

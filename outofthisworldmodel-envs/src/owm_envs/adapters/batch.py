@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 
 from astrojax.compilation import compiler_options
 from owm_envs.adapters.packing import Packing
+from owm_envs.adapters.seeds import seed_words
 from owm_envs.config import DockingConfig
 from owm_envs.config.params import Params
 from owm_envs.cores import core_count, workers
@@ -63,7 +64,7 @@ class BatchProgram:
         return self._programs.traces
 
     def keys(self, seeds: list[int]) -> np.ndarray:
-        """One key (B, 2) per slot from its seed, as words; a seed may have up to 64 bits."""
+        """One key (B, 2) per slot from its seed, as words."""
         return seed_words(seeds)
 
     def next_keys(self, state: State) -> np.ndarray:
@@ -224,17 +225,6 @@ def piece_count(num_envs: int) -> int:
 def joined(pieces: Sequence[Any]) -> Any:
     """Pieces of a batch as one, leaf by leaf; always arrays of their own, which a caller may change."""
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
-
-
-def seed_words(seeds: list[int]) -> np.ndarray:
-    """The words (B, 2) of one key per seed, of up to 64 bits."""
-    return np.asarray([[seed >> 32 & 0xFFFFFFFF, seed & 0xFFFFFFFF] for seed in seeds], np.uint32)
-
-
-def seed_keys(seeds: list[int]) -> jax.Array:
-    """One key per seed, of up to 64 bits."""
-    with jax.enable_x64(True):
-        return _typed(seed_words(seeds))
 
 
 def select(mask, new, old):

@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from owm_envs.adapters.batch import BatchProgram
+from owm_envs.adapters.seeds import checked_seed, drawn_seed, slot_seeds
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics, require_dynamics
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
@@ -19,7 +20,6 @@ from owm_envs.words import unknown
 _PORTS = np.array(PORT_NAMES)
 _OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 RENDER_MODES = ("rgb_array",)
-_MAX_SEED = 2**63
 
 
 class _Shell:
@@ -163,11 +163,13 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         """Start an episode; without a seed it follows from the last one."""
         options = self._check_options(options, ("dock_port",))
         ports = self._slot_ports(options)
-        super().reset(seed=seed)
         if seed is None and self._state is not None:
             keys = self._program.next_keys(self._state)
         else:
-            keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if seed is None else seed])
+            seed = drawn_seed(self.np_random) if seed is None else checked_seed(seed)
+            keys = self._program.keys([seed])
+            # What the environment reports as its seed names the episode that it flies.
+            super().reset(seed=seed)
         self._state, observation, info = self._program.reset(keys, ports)
         self._new_paths(info, [0])
         return observation[0].copy(), _scalar_info(info)
@@ -243,9 +245,13 @@ class DockingVectorEnv(_Shell, VectorEnv):
         options = self._check_options(options, ("dock_port", "reset_mask"))
         ports = self._slot_ports(options)
         mask = self._reset_mask(options)
-        seeds = self._seeds(seed)
+        if seed is None and self._state is None:
+            seed = drawn_seed(self.np_random)
+        seeds = slot_seeds(seed, self.num_envs)
+        if seed is not None and np.ndim(seed) == 0:
+            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(seeds[0])
         if self._state is None:
-            keys = self._program.keys([int(self.np_random.integers(_MAX_SEED)) if s is None else s for s in seeds])
+            keys = self._program.keys([drawn_seed(self.np_random) if s is None else s for s in seeds])
         else:
             seeded = np.array([s is not None for s in seeds])
             keys = self._program.choose_keys(seeded, [s or 0 for s in seeds], self._state)
@@ -286,16 +292,6 @@ class DockingVectorEnv(_Shell, VectorEnv):
     def render(self):
         """A picture per slot, or None without a render mode."""
         return None if self.render_mode is None else tuple(self._picture(i) for i in range(self.num_envs))
-
-    def _seeds(self, seed) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            self._np_random, self._np_random_seed = gymnasium.utils.seeding.np_random(int(seed))
-            return [int(seed) + i for i in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ValueError(f"seed names {len(seed)} seeds for {self.num_envs} environments")
-        return [None if s is None else int(s) for s in seed]
 
     def _reset_mask(self, options) -> np.ndarray:
         mask = options.get("reset_mask")

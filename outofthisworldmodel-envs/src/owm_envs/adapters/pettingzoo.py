@@ -10,8 +10,9 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
-from owm_envs.adapters.batch import seed_keys, state_from_host, state_to_host
+from owm_envs.adapters.batch import state_from_host, state_to_host
 from owm_envs.adapters.gymnasium import RENDER_MODES, _named
+from owm_envs.adapters.seeds import checked_seed, drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.env import FleetEnv, FleetState
 from owm_envs.station import goal_poses, port_index
@@ -24,8 +25,6 @@ except ImportError as error:
     raise ImportError(
         f"owm_envs.pettingzoo needs PettingZoo ({error}): pip install 'outofthisworldmodel-envs[pettingzoo]'"
     ) from error
-
-_MAX_SEED = 2**63
 
 
 def parallel_env(num_chasers: int = 3, config=None, **kwargs: Any) -> "DockingParallelEnv":
@@ -138,7 +137,6 @@ class DockingParallelEnv(ParallelEnv):
         self._state: FleetState | None = None
         self._info: dict[str, np.ndarray] = {}
         self._paths: list[list[np.ndarray]] = []
-        self._random: np.random.Generator | None = None
 
     @property
     def fleet_env(self) -> FleetEnv:
@@ -169,9 +167,9 @@ class DockingParallelEnv(ParallelEnv):
         if seed is None and self._state is not None:
             key = self._state.next_key
         else:
-            if self._random is None or seed is not None:
-                self._random, _ = gymnasium.utils.seeding.np_random(seed)
-            key = seed_keys([int(self._random.integers(_MAX_SEED)) if seed is None else seed])[0]
+            if seed is None:
+                seed = drawn_seed(gymnasium.utils.seeding.np_random()[0])
+            key = seed_keys([checked_seed(seed)])[0]
         self._state, observations, self._info = self._program.reset(key, ports)
         self.agents = list(self.possible_agents)
         self._paths = [[position] for position in self._info["true_state"][:, :3]]

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from owm_envs.adapters.gymnasium import DockingVectorEnv
+from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
 from owm_envs.registration import IDS
 from owm_envs.words import unknown
@@ -63,7 +64,7 @@ def make_vec_env(
         n_envs, id_or_config, infos=infos, render_mode=render_mode, preset=preset, normalize=normalize, **overrides
     )
     if seed is not None:
-        venv.seed(seed)
+        venv.seed(checked_seed(seed))
     return venv
 
 

@@ -1,0 +1,66 @@
+"""Seeds, the same in every adapter: any integer from zero on, all bits of which count."""
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Key, UInt32
+
+_MOST_DRAWN = 2**63
+
+
+def checked_seed(seed: Any) -> int:
+    """A seed as Python's integer.
+
+    Raises:
+        TypeError: it is no integer; NumPy's are.
+        ValueError: it is negative.
+    """
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        raise TypeError(f"seed must be an integer of at least 0, got {seed!r}") from None
+    if number < 0:
+        raise ValueError(f"seed must be an integer of at least 0, got {number}")
+    return number
+
+
+def slot_seeds(seed: Any, count: int) -> list[int | None]:
+    """A seed for each of `count` slots: seed + i of a single one, those of a sequence, None without.
+
+    Raises:
+        TypeError, ValueError: a seed is not one, or a sequence is of another length.
+    """
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, (str, bytes)) and np.ndim(seed):
+        if len(seed) != count:
+            raise ValueError(f"seed names {len(seed)} seeds for {count} environments")
+        return [None if each is None else checked_seed(each) for each in seed]
+    first = checked_seed(seed)
+    return [first + slot for slot in range(count)]
+
+
+def drawn_seed(random: np.random.Generator) -> int:
+    """A seed for an episode that was given none."""
+    return int(random.integers(_MOST_DRAWN))
+
+
+def seed_words(seeds: Sequence[int]) -> UInt32[np.ndarray, "B 2"]:
+    """The words of one key per seed: the seed itself up to 64 bits, a hash of all its bits beyond."""
+    return np.asarray([_words(checked_seed(seed)) for seed in seeds], np.uint32).reshape(-1, 2)
+
+
+def _words(seed: int) -> tuple[int, int]:
+    if seed < 2**64:
+        return seed >> 32, seed & 0xFFFFFFFF
+    high, low = np.random.SeedSequence(seed).generate_state(2)
+    return int(high), int(low)
+
+
+def seed_keys(seeds: Sequence[int]) -> Key[jax.Array, "B"]:
+    """One key per seed."""
+    with jax.enable_x64(True):
+        return jax.random.wrap_key_data(seed_words(seeds), impl="threefry2x32")
