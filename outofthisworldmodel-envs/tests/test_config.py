@@ -1,3 +1,4 @@
+import datetime
 import subprocess
 import sys
 import tomllib
@@ -228,3 +229,36 @@ def test_float64_outside_64_bit_mode_is_refused():
 def test_import_stays_light():
     code = "import owm_envs, sys; assert not {'jax', 'torch', 'cv2', 'pyarrow'} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-32"])
+def test_a_file_is_read_as_any_editor_leaves_it(tmp_path, encoding):
+    file = tmp_path / "config.toml"
+    file.write_bytes('fidelity = "iss"\r\nhorizon = 60.0  # Δ\r\n'.encode(encoding))
+    assert load_config(str(file)).horizon == 60.0
+
+
+def test_a_file_of_another_encoding_is_refused_with_what_to_do(tmp_path):
+    file = tmp_path / "config.toml"
+    file.write_bytes('ports = ["Hafen ä"]'.encode("latin-1"))
+    with pytest.raises(ValueError, match="save it as UTF-8"):
+        load_config(str(file))
+
+
+@pytest.mark.parametrize(
+    "epoch",
+    [
+        "2026-08-01T00:00:00Z",
+        datetime.datetime(2026, 8, 1),
+        datetime.datetime(2026, 8, 1, 2, tzinfo=datetime.timezone(datetime.timedelta(hours=2))),
+        datetime.date(2026, 8, 1),
+    ],
+)
+def test_an_epoch_may_be_text_or_a_date(epoch):
+    assert load_config({"chief": {"reference_epoch": epoch}}) == load_config()
+
+
+def test_an_unquoted_date_in_a_file_is_an_epoch(tmp_path):
+    file = tmp_path / "config.toml"
+    file.write_text("[chief]\nreference_epoch = 2026-08-01T00:00:00Z\n", encoding="utf-8")
+    assert load_config(str(file)) == load_config()

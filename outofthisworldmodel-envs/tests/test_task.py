@@ -6,6 +6,7 @@ import pytest
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm_envs.config import REWARD_PRESETS, load_config
 from owm_envs.config.params import params_from_config
+from owm_envs.env import DockingEnv, FleetEnv
 from owm_envs.station import TRAIN_PORTS, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.observation import ObservationLayout
@@ -249,3 +250,26 @@ def test_parameters_can_be_swept_and_differentiated(x64, docking):
     slope = jax.grad(final_speed)(12_000.0)
     secant = (final_speed(12_001.0) - final_speed(11_999.0)) / 2
     assert float(slope) == pytest.approx(float(secant), rel=1e-5)
+
+
+def shared_buffers(state):
+    """Leaves of a state less the buffers they stand in."""
+    leaves = jax.tree.leaves(state)
+    data = [jax.random.key_data(x) if jnp.issubdtype(x.dtype, jax.dtypes.prng_key) else x for x in leaves]
+    return len(data) - len({leaf.unsafe_buffer_pointer() for leaf in data})
+
+
+def test_a_state_may_be_donated(fidelity):
+    """No two leaves of a state that was made outside `jit` share a buffer: none can be given away twice."""
+    env = DockingEnv(fidelity=fidelity, precision="float32")
+    params = env.default_params()
+    state, _ = env.reset(params, key=jax.random.key(0))
+    assert shared_buffers(state) == 0
+    kept = state._replace(noise_key=None, next_key=None)
+    jax.jit(lambda state: state, donate_argnums=0)(kept)
+
+
+def test_a_fleet_s_state_may_be_donated():
+    env = FleetEnv(2, fidelity="iss", precision="float32")
+    state, _ = env.reset(env.default_params(), key=jax.random.key(0))
+    assert shared_buffers(state) == 0

@@ -1,5 +1,6 @@
-"""Files and folders that are either whole or not there."""
+"""Files and folders that are either whole or not there, and text as editors leave it."""
 
+import codecs
 import os
 import re
 import shutil
@@ -24,6 +25,30 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, te
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16's, with which it begins
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+
+
+def read_text(path: str | os.PathLike) -> str:
+    """The text of a file that a person edits: UTF-8, or what its byte-order mark says, as Windows' editors write.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is neither.
+    """
+    data = Path(path).read_bytes()
+    encoding = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), "utf-8")
+    try:
+        return data.decode(encoding).replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{os.fspath(path)} is not {encoding} text ({error.reason}): save it as UTF-8") from None
 
 
 def slug(name: str) -> str:

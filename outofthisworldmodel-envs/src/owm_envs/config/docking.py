@@ -25,6 +25,7 @@ from owm_envs.config.parts import (
     unit,
 )
 from owm_envs.config.text import mistakes, toml
+from owm_envs.files import read_text
 from owm_envs.station.hull import load_hull
 from owm_envs.station.ports import PORT_NAMES, port_index
 from owm_envs.words import unknown
@@ -205,11 +206,10 @@ def load_config(
     elif isinstance(config, Mapping):
         given = config
     elif config is not None:
-        with open(config, "rb") as file:
-            try:
-                given = tomllib.load(file)
-            except tomllib.TOMLDecodeError as error:
-                raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
+        try:
+            given = tomllib.loads(read_text(config))
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
         if _is_path(given.get("hull")):
             given["hull"] = os.path.join(os.path.dirname(os.fspath(config)), given["hull"])
     if (asked := given.get("fidelity")) != (named := overrides.get("fidelity", asked)) and asked is not None:

@@ -163,10 +163,17 @@ class ChiefConfig(Frozen):
     drag_area: Annotated[NonNegative, unit("m2")] = 1500.0
     drag_coefficient: Annotated[NonNegative, unit("1")] = 2.2
 
-    @field_validator("reference_epoch")
+    @field_validator("reference_epoch", mode="before")
     @classmethod
     def _a_date(cls, value):
-        datetime.datetime.fromisoformat(value)
+        # An unquoted date in TOML comes as Python's own; without an offset it is UTC.
+        if isinstance(value, datetime.datetime):
+            given = value.replace(tzinfo=value.tzinfo or datetime.UTC).astimezone(datetime.UTC)
+            return given.isoformat().replace("+00:00", "Z")
+        if isinstance(value, datetime.date):
+            return f"{value.isoformat()}T00:00:00Z"
+        if isinstance(value, str):
+            datetime.datetime.fromisoformat(value)
         return value
 
 

@@ -171,7 +171,7 @@ class DockingEnv:
             outcome=jnp.asarray(Outcome.RUNNING, jnp.int32),
             collided=room.now <= 0,
             room=room,
-            closest=Closest(*error_norms(error), physics.elapsed),
+            closest=Closest(*error_norms(error), jnp.copy(physics.elapsed)),
             actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
             bias=bias,
             drawn=drawn,

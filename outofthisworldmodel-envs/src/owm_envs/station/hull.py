@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from owm_envs.files import read_text
 from owm_envs.station.boxes import cover, distance_to, emptiness, grid_around, merge, occupancy_of, outer_samples, trim
 from owm_envs.station.geometry import nearest_part, sample_surface
 from owm_envs.station.parts import PARTS, Part
@@ -82,8 +83,8 @@ def load_hull(path: Path | str) -> Float[np.ndarray, "N 2 3"]:
         ValueError: the file is missing, empty, not such a table, or holds a box whose corners are out of order.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path)
+    except (OSError, ValueError) as error:
         raise ValueError(f"hull: cannot read {path}: {error}") from None
     rows = [line.split("#")[0].strip() for line in text.splitlines()]
     try:

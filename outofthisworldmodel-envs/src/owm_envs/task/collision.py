@@ -27,7 +27,8 @@ class Room(NamedTuple):
 def room_at(point: Float[Array, "3"], radius: Float[Array, ""], boxes: Float[Array, "N 2 3"]) -> Room:
     """The room of a sphere at rest."""
     clearance = swept_clearance(point, point, radius, boxes)
-    return Room(clearance, clearance, clearance)
+    # Copies: a caller may donate the state, and no buffer can be given away twice.
+    return Room(clearance, jnp.copy(clearance), jnp.copy(clearance))
 
 
 def advance_room(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.stats import binomtest
 
 _Z95 = 1.959963984540054
 
@@ -69,9 +70,8 @@ def mcnemar(first_only: int, second_only: int) -> float:
 
     Source: Q. McNemar, Psychometrika 12 (1947) 153; exact by the binomial distribution.
     """
-    discordant, fewer = first_only + second_only, min(first_only, second_only)
-    tail = sum(math.comb(discordant, k) for k in range(fewer + 1))
-    return min(1.0, 2 * tail / 2**discordant)
+    discordant = first_only + second_only
+    return float(binomtest(first_only, discordant).pvalue) if discordant else 1.0
 
 
 def holm(p: Sequence[float]) -> list[float]:

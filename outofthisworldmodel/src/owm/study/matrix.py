@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from owm.catalogue.policies import is_planned, kind_of
 from owm_envs.config.parts import Frozen
-from owm_envs.files import slug
+from owm_envs.files import read_text, slug
 from owm_envs.station import PORT_NAMES, port_index
 from owm_envs.words import unknown
 
@@ -104,7 +104,7 @@ def read_matrix(path: Path) -> Matrix:
         ValueError: it is no valid matrix, saying where.
     """
     try:
-        return Matrix.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return Matrix.model_validate(tomllib.loads(read_text(path)))
     except (tomllib.TOMLDecodeError, ValidationError) as error:
         raise ValueError(f"{path} is no evaluation matrix: {error}") from None
 
