@@ -228,3 +228,13 @@ def test_float64_outside_64_bit_mode_is_refused():
 def test_import_stays_light():
     code = "import owm_envs, sys; assert not {'jax', 'torch', 'cv2', 'pyarrow'} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("horizon", "dt", "held", "decisions"),
+    [(10.0, 0.1, 3, 34), (360.0, 0.05, 1, 7200), (360.0, 0.05, 20, 360), (0.3, 0.1, 1, 3), (4.0, 0.05, 5, 16)],
+)
+def test_an_episode_is_never_cut_before_its_horizon(horizon, dt, held, decisions):
+    config = load_config(fidelity="iss-hcw", precision="float32", horizon=horizon, dt=dt, steps_per_action=held)
+    assert config.horizon_decisions == decisions == int(params_from_config(config).horizon_steps)
+    assert decisions * config.decision_dt >= horizon * (1 - 1e-9)
