@@ -86,7 +86,7 @@ class DockingConfig(Frozen):
     collision_terminates: bool = True
     hull: Literal["iss"] | Annotated[tuple[Box, ...], Field(min_length=1), unit("m")] = "iss"
     """Keep-out boxes of the station: (lower, upper) corners in the station frame. `load_config` also takes the path
-    of a TOML file that has them as `boxes`."""
+    of a text file that `owm-envs station import --out` wrote."""
     obstacles: Annotated[tuple[Box, ...], unit("m")] = ()
     """Extra keep-out boxes, in the same form."""
     reset: ResetConfig = ResetConfig()
