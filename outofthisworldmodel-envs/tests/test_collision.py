@@ -259,3 +259,19 @@ def test_gradients_stop_here(quick):
     gradient = quick(jax.grad(lambda tracks: jnp.sum(jax.vmap(total)(tracks))))(tracks)
     np.testing.assert_array_equal(gradient, 1)
     np.testing.assert_array_equal(quick(jax.grad(total))(tracks[0]), 1)
+
+
+def test_a_miss_is_bounded_from_below_and_exact_only_near_the_box():
+    """What is promised past a unit box: contact, and a bound at most half the travel low."""
+    box, start = np.array([[[0.0] * 3, [1.0] * 3]]), np.array([5.25, 0.5, 0.5])
+    travel = 20 * np.array([0.5, 0.75**0.5, 0])
+    value, exact = (
+        float(clearance(start, start + travel, RADIUS, box)),
+        brute_force(start, start + travel, box) - RADIUS,
+    )
+    assert exact == pytest.approx(2.0) and value == pytest.approx(0.085, abs=1e-3)
+    assert exact - 10 <= value <= exact and value > 0
+    assert float(clearance(start, start - travel, RADIUS, box)) == pytest.approx(
+        brute_force(start, start - travel, box) - RADIUS, abs=0.01
+    )
+    assert float(clearance(start, start - [2.01, 0, 0], RADIUS, box)) <= 0

@@ -262,3 +262,13 @@ def test_an_unquoted_date_in_a_file_is_an_epoch(tmp_path):
     file = tmp_path / "config.toml"
     file.write_text("[chief]\nreference_epoch = 2026-08-01T00:00:00Z\n", encoding="utf-8")
     assert load_config(str(file)) == load_config()
+
+
+@pytest.mark.parametrize(
+    ("horizon", "dt", "held", "decisions"),
+    [(10.0, 0.1, 3, 34), (360.0, 0.05, 1, 7200), (360.0, 0.05, 20, 360), (0.3, 0.1, 1, 3), (4.0, 0.05, 5, 16)],
+)
+def test_an_episode_is_never_cut_before_its_horizon(horizon, dt, held, decisions):
+    config = load_config(fidelity="iss-hcw", precision="float32", horizon=horizon, dt=dt, steps_per_action=held)
+    assert config.horizon_decisions == decisions == int(params_from_config(config).horizon_steps)
+    assert decisions * config.decision_dt >= horizon * (1 - 1e-9)

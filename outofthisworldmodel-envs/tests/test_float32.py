@@ -133,3 +133,22 @@ def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
     expected = jax.vmap(env.info, (None, 0))(params, state)
     for name in ("true_state", "measured_state", "epoch", "clearance", "closest_distance"):
         np.testing.assert_allclose(info[name], expected[name], rtol=1e-6, atol=1e-4)
+
+
+def test_the_station_starts_within_800_metres_of_float64(quick):
+    """As docs/jax.md says: the time since the orbit's reference is rounded, and the station moves 7.7 km a second."""
+    day, seconds = np.divmod(np.random.default_rng(0).uniform(0, WEEK, 4000), 86_400.0)
+    since = np.stack([day, seconds.astype(np.float32).astype(np.float64)], axis=1)
+    view = np.array([50.0, *[0] * 5, 1.0, *[0] * 6])
+
+    def places(precision):
+        env = DockingEnv(precision=precision, **PLAIN)
+        params = env.default_params()
+        epochs = (np.asarray(params.chief.epoch, np.float64) + since).astype(precision)
+        begin = jax.vmap(lambda epoch: env.dynamics.init(params, epoch, jnp.asarray(view.astype(precision))).chief[:3])
+        return np.asarray(quick(begin)(epochs), np.float64)
+
+    single = places("float32")
+    with jax.enable_x64(True):
+        apart = np.linalg.norm(single - places("float64"), axis=1)
+    assert 300 < apart.max() < 800, apart.max()

@@ -1,3 +1,4 @@
+import json
 import re
 
 import hypothesis
@@ -176,3 +177,71 @@ def test_export_and_show_commands(tmp_path, capsys):
     marks = (blue > 200) & (red < 140)
     # Blankets, then radiators and truss, then the marks of the train ports.
     assert gold.mean() > 0.08 and white.mean() > 0.005 and marks.mean() > 0.002
+
+
+def two_boxes(path, change):
+    """A glTF file of two boxes 9 m apart, its JSON changed by `change`."""
+    pair = trimesh.Scene()
+    for name, x in (("left", 0.0), ("right", 9.0)):
+        box = trimesh.creation.box(extents=(3.0, 3.0, 3.0))
+        box.apply_translation((x, 0.0, 0.0))
+        pair.add_geometry(box, node_name=name, geom_name=name)
+    files = pair.export(file_type="gltf")
+    for name, data in files.items():
+        (path / name).write_bytes(data)
+    tree = json.loads(files["model.gltf"])
+    change(tree)
+    (path / "model.gltf").write_text(json.dumps(tree), encoding="utf-8")
+    return path / "model.gltf"
+
+
+@pytest.mark.parametrize("mode", [0, 1, 2, 3, 5, 6])
+def test_a_part_that_is_not_triangles_is_refused_by_name(tmp_path, mode):
+    path = two_boxes(tmp_path, lambda tree: tree["meshes"][1]["primitives"][0].update(mode=mode))
+    with pytest.raises(ValueError, match=r"node 'right', primitive 0, is .*, not triangles"):
+        load_triangles(path)
+
+
+def test_a_mesh_shown_twice_arrives_twice(tmp_path):
+    def again(tree):
+        right = next(i for i, node in enumerate(tree["nodes"]) if node.get("name") == "right")
+        tree["nodes"].append({"name": "third", "mesh": tree["nodes"][right]["mesh"], "translation": [9, 0, 0]})
+        tree["nodes"][tree["scenes"][0]["nodes"][0]].setdefault("children", []).append(len(tree["nodes"]) - 1)
+
+    assert len(load_triangles(two_boxes(tmp_path, again))) == 36
+
+
+def obj(path, shift=0.0, first="0"):
+    corners = [
+        f"v {first} 0 0",
+        *(f"v {shift + x} {y} {z}" for x, y, z in ((9, 0, 0), (0, 9, 0), (0, 0, 9), (4, 0, 0))),
+    ]
+    path.write_text("\n".join([*corners, "f 2 3 4", "f 1 2 3", "f 2 2 3"]) + "\n", encoding="utf-8")
+    return path
+
+
+def test_triangles_without_an_area_are_dropped_and_counted(tmp_path):
+    with pytest.warns(UserWarning, match="left out 1 of 3 triangles, which have no area"):
+        assert len(load_triangles(obj(tmp_path / "mesh.obj"))) == 2
+
+
+@pytest.mark.parametrize("first", ["nan", "inf"])
+def test_a_vertex_that_is_not_finite_is_refused(tmp_path, first):
+    with pytest.raises(ValueError, match="not finite"):
+        load_triangles(obj(tmp_path / "mesh.obj", first=first))
+
+
+def test_a_mesh_far_from_the_station_is_refused_with_its_bounds(tmp_path):
+    with pytest.warns(UserWarning), pytest.raises(ValueError, match=r"lies from \[5000.0, 0.0, 0.0\] to .*origin"):
+        load_triangles(obj(tmp_path / "mesh.obj", 5000.0, "5000"))
+
+
+def test_an_imported_hull_is_drawn(tmp_path, capsys):
+    mesh, hull = tmp_path / "ball.obj", tmp_path / "hull.csv"
+    trimesh.creation.icosphere(subdivisions=2, radius=40.0).export(mesh)
+    main(["station", "import", str(mesh), "--boxes", "7", "--voxel", "4", "--out", str(hull)])
+    small = ["--width", "400", "--height", "250"]
+    main(["station", "show", "--out", str(tmp_path / "own.png"), "--hull", str(hull), *small])
+    assert "7 boxes covering" in capsys.readouterr().out
+    main(["station", "show", "--out", str(tmp_path / "iss.png"), *small])
+    assert (tmp_path / "own.png").read_bytes() != (tmp_path / "iss.png").read_bytes()

@@ -187,25 +187,29 @@ def station_import(
         print(f"{out}: {len(report.boxes)} boxes")
 
 
-def station_show(out: Path = Path("station.png"), width: int = 1600, height: int = 1000) -> None:
+def station_show(
+    out: Path = Path("station.png"), hull: Path | None = None, width: int = 1600, height: int = 1000
+) -> None:
     """Draw the station with its collision boxes, ports and corridors, and report how well the boxes fit.
 
     Args:
         out: PNG file to write.
+        hull: File of boxes that `station import --out` wrote, to draw in place of the station's own.
         width: Pixels.
         height: Pixels.
     """
     import cv2
 
-    from owm_envs.station import PARTS, hull_boxes, hull_quality
+    from owm_envs.station import PARTS, hull_boxes, hull_quality, load_hull
     from owm_envs.station.picture import draw_station
 
-    image = draw_station((width, height))
+    boxes = hull_boxes() if hull is None else load_hull(hull)
+    image = draw_station((width, height), boxes)
     done, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not done or out.suffix.lower() != ".png":
         raise ValueError(f"out must be a .png file; got {out}")
     out.write_bytes(data.tobytes())
-    quality = hull_quality(hull_boxes())
+    quality = hull_quality(boxes)
     print(
         f"{out}: {len(PARTS)} parts, {quality.boxes} boxes covering {100.0 * quality.covered:.2f} % of their surface; "
         f"excess {quality.excess_mean:.2f} m mean, {quality.excess_p99:.2f} m at the 99th percentile"

@@ -1,5 +1,6 @@
 """The configuration of a docking environment: frozen, validated, and readable from TOML, JSON or keyword arguments."""
 
+import math
 import os
 import tomllib
 from collections.abc import Mapping
@@ -80,13 +81,13 @@ class DockingConfig(Frozen):
     steps_per_action: Annotated[int, Field(ge=1), unit("steps")] = 1
     """Simulation steps over which an action is held."""
     horizon: Annotated[Positive, unit("s")] = 360.0
-    """Time after which an episode is truncated."""
+    """Time after which an episode is truncated: at the end of the decision that reaches it, never earlier."""
     escape_radius: Annotated[Positive, unit("m")] = 750.0
     """Distance from the station origin beyond which an episode ends."""
     collision_terminates: bool = True
     hull: Literal["iss"] | Annotated[tuple[Box, ...], Field(min_length=1), unit("m")] = "iss"
     """Keep-out boxes of the station: (lower, upper) corners in the station frame. `load_config` also takes the path
-    of a TOML file that has them as `boxes`."""
+    of a text file that `owm-envs station import --out` wrote."""
     obstacles: Annotated[tuple[Box, ...], unit("m")] = ()
     """Extra keep-out boxes, in the same form."""
     reset: ResetConfig = ResetConfig()
@@ -137,6 +138,12 @@ class DockingConfig(Frozen):
     def decision_dt(self) -> float:
         """Seconds from one action to the next."""
         return self.dt * self.steps_per_action
+
+    @property
+    def horizon_decisions(self) -> int:
+        """Decisions until an episode is truncated: the fewest that last at least `horizon`."""
+        whole = self.horizon / self.decision_dt
+        return math.ceil(whole * (1 - 1e-9))  # 0.3 / 0.1 is not quite 3, nor 360 / 0.05 surely 7200
 
     @property
     def structure(self) -> Structure:

@@ -140,7 +140,7 @@ def params_from_config(config: DockingConfig) -> Params:
     angles = np.radians([chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg])
     return Params(
         dt=real(config.dt),
-        horizon_steps=jnp.asarray(round(config.horizon / config.decision_dt), jnp.int32),
+        horizon_steps=jnp.asarray(config.horizon_decisions, jnp.int32),
         escape_radius=real(config.escape_radius),
         hull=real(hull),
         obstacles=real(np.asarray(config.obstacles, np.float64).reshape(-1, 2, 3)),

@@ -176,7 +176,7 @@ def _open_partial(partial: Path, settings: dict, announce) -> None:
 
 
 def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict) -> None:
-    longest = round(config.horizon / config.decision_dt)
+    longest = config.horizon_decisions
     expected = sum(max(targets[split], least[split] * longest) for split in targets) + longest
     there = sum(file.stat().st_size for file in partial.rglob("*") if file.is_file())
     disk = next(folder for folder in partial.absolute().parents if folder.exists())
@@ -193,7 +193,7 @@ class _Recorder:
     def __init__(self, config, request, announce, progress):
         self.config, self.request = config, request
         self.announce, self.progress = announce, progress
-        self.longest = round(config.horizon / config.decision_dt)
+        self.longest = config.horizon_decisions
         # Episodes that end early are about a seventh; batches of equal size waste the fewest flights.
         likely = math.ceil(1.15 * request.transitions / self.longest)
         batches = math.ceil(likely / request.episodes_per_batch)

@@ -3,6 +3,8 @@
 Files are glTF: y up, z forward. The station frame is zenith z and forward -y, so (x, y, z) is written as (x, z, -y).
 """
 
+import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,8 +19,10 @@ from owm_envs.station.primitives import MATERIALS, Part
 if TYPE_CHECKING:
     import trimesh
 
+_MODES = ("points", "lines", "a line loop", "a line strip", "triangles", "a triangle strip", "a triangle fan")
 _SIDES = 32  # of a round part; their corners lie on the surface
 _CELLS = 60_000_000  # most voxels of an import
+_FARTHEST = 500.0  # m along an axis from the origin to a mesh; episodes end at 750 m
 
 _TO_GLTF = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 UP: dict[str, np.ndarray] = {
@@ -107,6 +111,44 @@ def export(path: Path | str, parts: tuple[Part, ...]) -> int:
 # ---------------------------------------------------------------- import
 
 
+class _Lost(ValueError):
+    """A part of a file that would be left out."""
+
+
+def _declared(path: Path) -> int:
+    """Count the triangles that a glTF file's scene declares, a mesh once for each node that shows it.
+
+    Raises:
+        _Lost: a primitive of another mode, named with its node.
+    """
+    data = path.read_bytes()
+    if data[:4] == b"glTF":
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    tree = json.loads(data)
+    nodes, scenes = tree.get("nodes", []), tree.get("scenes", [])
+    open_nodes = list(scenes[tree.get("scene", 0)].get("nodes", [])) if scenes else list(range(len(nodes)))
+    count = 0
+    while open_nodes:
+        index = open_nodes.pop()
+        node = nodes[index]
+        open_nodes += node.get("children", []) if scenes else []
+        for number, primitive in enumerate(tree["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []):
+            mode = primitive.get("mode", 4)
+            if mode != 4:
+                name = node.get("name", f"number {index}")
+                kind = _MODES[mode] if mode in range(len(_MODES)) else f"of unknown mode {mode}"
+                raise _Lost(f"node {name!r}, primitive {number}, is {kind}, not triangles; convert or delete it")
+            accessor = primitive.get("indices", primitive["attributes"]["POSITION"])
+            count += tree["accessors"][accessor]["count"] // 3
+    return count
+
+
+def _areas(triangles: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "T"]:
+    return 0.5 * np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )  # fmt: skip
+
+
 def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) -> Float[np.ndarray, "T 3 3"]:
     """Read a mesh of any kind that trimesh reads, in the station frame.
 
@@ -116,10 +158,11 @@ def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) 
         up: the file's axis that points to zenith, "x", "y" or "z"; by default y for glTF and z for other files.
 
     Returns:
-        (T, 3, 3) corners of the triangles [m], degenerate ones left out.
+        (T, 3, 3) corners of the triangles [m], those without area left out, with a warning that counts them.
 
     Raises:
-        ValueError: the file is missing, not a mesh, without triangles or not finite; or its size can't be in metres.
+        ValueError: the file is missing, not a mesh, without triangles or not finite; a part of it isn't triangles or
+            was lost in reading; its size can't be in metres, or it lies far from the station.
     """
     trimesh = _trimesh()
     path = Path(path)
@@ -131,21 +174,43 @@ def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) 
     if not path.is_file():
         raise ValueError(f"no such mesh: {path}")
     try:
-        loaded = trimesh.load_scene(path)
-        meshes = [mesh for mesh in loaded.dump() if isinstance(mesh, trimesh.Trimesh)]
+        declared = _declared(path) if path.suffix.lower() in (".glb", ".gltf") else None
+        # Unprocessed: trimesh's cleaning drops triangles, those with NaN among them, without a word.
+        loaded = trimesh.load_scene(path, process=False)
+        geometry = loaded.dump()
+    except _Lost as error:
+        raise ValueError(f"{path}: {error}") from None
     except Exception as error:  # trimesh's readers raise whatever their format's parser raises
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from None
-    triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh.triangles, np.float64) for mesh in meshes)])
+    for part in geometry:
+        if not isinstance(part, trimesh.Trimesh):
+            name = part.metadata.get("name", "a part without a name")
+            raise ValueError(f"{path}: {name} is a {type(part).__name__}, not triangles; delete or convert it")
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh.triangles, np.float64) for mesh in geometry)])
+    if declared is not None and len(triangles) != declared:
+        raise ValueError(f"{path} declares {declared} triangles in its scene, of which {len(triangles)} were read")
     if len(triangles) == 0:
         raise ValueError(f"{path} holds no triangles")
     if not np.isfinite(triangles).all():
         raise ValueError(f"{path} holds vertices that are not finite")
     triangles = triangles @ UP[up].T * scale
+    solid = _areas(triangles) > 0.0
+    if not solid.any():
+        raise ValueError(f"{path} holds no triangles with an area")
+    if not solid.all():
+        warnings.warn(f"{path}: left out {(~solid).sum()} of {len(solid)} triangles, which have no area", stacklevel=2)
+    triangles = triangles[solid]
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     if not 1.0 < extent < 1000.0:
         raise ValueError(
             f"{path} is {extent:,.6g} m across, which no station is; scale gives the metres per unit "
             f"(0.001 for millimetres, 0.0254 for inches; now {scale:g})"
+        )
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    if (np.maximum(low, -high) > _FARTHEST).any():
+        raise ValueError(
+            f"{path} lies from {low.round(1).tolist()} to {high.round(1).tolist()} m, over {_FARTHEST:g} m from the "
+            "station's origin; move it there first"
         )
     return triangles
 
@@ -321,9 +386,7 @@ def boxes_from_mesh(
 
     progress("measuring")
     rng = np.random.default_rng(0)
-    area = 0.5 * np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    )  # fmt: skip
+    area = _areas(triangles)
     chosen = triangles[rng.choice(len(triangles), samples, p=area / area.sum())]
     u, v = np.sqrt(rng.random((samples, 1))), rng.random((samples, 1))
     surface = (1.0 - u) * chosen[:, 0] + u * (1.0 - v) * chosen[:, 1] + u * v * chosen[:, 2]

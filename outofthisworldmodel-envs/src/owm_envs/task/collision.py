@@ -78,8 +78,9 @@ def swept_clearance(
 ) -> Float[Array, ""]:
     """Distance from a sphere moving from `start` to `end` to the nearest box; m, at or below zero on contact.
 
-    Exact wherever the sphere comes within half its travel of a box; farther off a lower bound, at most half the
-    travel low. Not differentiable in reverse: gradients stop here.
+    Contact is exact: the value is at or below zero if and only if the sphere touches a box on the way. Above zero it
+    is a lower bound, low by at most half the travel, and exact where the midpoint lies within half the travel
+    and the radius of a box. Not differentiable in reverse: gradients stop here.
 
     Branch and bound: a box is no nearer to the segment than to its midpoint less half its length, so boxes are
     examined in that order until none of the rest can be nearer. In a batch the loop ends with the last episode that

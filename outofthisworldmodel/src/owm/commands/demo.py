@@ -229,7 +229,7 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
             keys,
             ports,
             which=which,
-            progress=lambda done, running: update(done, round(config.horizon / config.dt), f"{running} flying"),
+            progress=lambda done, running: update(done, config.horizon_decisions, f"{running} flying"),
         )
     groups = {
         ON_POLICY: at_model_rate([recorded(e) for e in flown if e.policy_name != "excite"]),

@@ -117,7 +117,7 @@ def fly_episodes(
 
 def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
     config, layout = env.config, env.layout
-    decisions = round(config.horizon / config.decision_dt)
+    decisions = config.horizon_decisions
     observation, info = env.reset(seed=seeds.tolist(), options={"dock_port": [int(port) for port in ports]})
     path, clock, began = [info["true_state"]], [np.zeros(len(seeds))], info["epoch"]
     digest = np.array([start_digest(*start) for start in zip(info["true_state"], info["epoch"], ports)])
