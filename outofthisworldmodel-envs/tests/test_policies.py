@@ -10,7 +10,7 @@ from owm_envs.env import DockingEnv
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.policies.base import pointing_error, read_view
-from owm_envs.rollout import rollout
+from owm_envs.rollout import episodes, rollout
 from owm_envs.station import PORTS, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
 
@@ -43,8 +43,8 @@ def flights(env, policies):
     which = np.repeat(np.arange(len(policies)), 8)
     ports = np.tile(np.arange(8), len(policies))
     ports = np.where(which >= len(PULLED), ports % 2, ports)
-    episodes = rollout(env, list(policies.values()), keys, ports, which=which)
-    return {name: episodes[8 * i : 8 * i + 8] for i, name in enumerate(policies)}
+    flown = list(episodes(rollout(env, list(policies.values()), keys, ports, which=which)))
+    return {name: flown[8 * i : 8 * i + 8] for i, name in enumerate(policies)}
 
 
 def test_every_name_makes_a_policy_of_that_name(policies):

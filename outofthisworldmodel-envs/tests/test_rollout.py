@@ -1,3 +1,5 @@
+import weakref
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ from astrojax.attitude import quat_rotate
 from owm_envs import rollout as module
 from owm_envs.env import DockingEnv
 from owm_envs.policies import make_policy
+from owm_envs.rollout import episodes as whole
 from owm_envs.rollout import rollout
 from owm_envs.task.events import Outcome
 
@@ -22,7 +25,7 @@ def flown(docking):
     policies = [make_policy(name, env) for name in ("random", "dock")]
     keys = jax.random.split(jax.random.key(0), 4)
     ports, which = np.array([0, 3, 5, 7]), np.array([1, 0, 1, 0])
-    episodes = rollout(env, policies, keys, ports, which=which, params=params, chunk=CHUNK)
+    episodes = list(whole(rollout(env, policies, keys, ports, which=which, params=params, chunk=CHUNK)))
     return env, params, policies, keys, ports, which, episodes
 
 
@@ -60,7 +63,8 @@ def test_new_keys_ports_and_numbers_run_the_same_program(flown):
     with jax.enable_x64(True):
         lighter = params._replace(chaser=params.chaser._replace(mass=params.chaser.mass * 0.9))
     before = module._fly._cache_size()
-    rollout(env, policies, keys[::-1], np.array([1, 2, 4, 6]), which=which[::-1], params=lighter, chunk=CHUNK)
+    chunks = rollout(env, policies, keys[::-1], np.array([1, 2, 4, 6]), which=which[::-1], params=lighter, chunk=CHUNK)
+    assert sum(len(chunk.ended) for chunk in chunks) == 4
     assert module._fly._cache_size() == before
 
 
@@ -82,13 +86,13 @@ def mixed():
     which = np.arange(12) % 2
     ports = np.arange(12) % 8
     progress = lambda *call: calls.append(call)
-    episodes = rollout(env, policies, keys, ports, which=which, chunk=CHUNK, progress=progress)
+    episodes = list(whole(rollout(env, policies, keys, ports, which=which, chunk=CHUNK, progress=progress)))
     return env, policies, keys, ports, which, episodes, calls
 
 
 def test_an_episode_does_not_depend_on_its_neighbours(mixed):
     env, policies, keys, ports, which, episodes, _ = mixed
-    moved = rollout(env, policies, keys[::-1], ports[::-1], which=which[::-1], chunk=CHUNK)
+    moved = list(whole(rollout(env, policies, keys[::-1], ports[::-1], which=which[::-1], chunk=CHUNK)))
     for one, other in zip(episodes, moved[::-1]):
         assert one.outcome == other.outcome and len(one) == len(other)
         np.testing.assert_array_equal(one.observation, other.observation)
@@ -105,6 +109,21 @@ def test_a_docked_episode_ends_there_while_others_fly_on(mixed):
         assert len(episode.true_state) == len(episode) + 1
     assert calls[-1][1] == 0 and calls[0][0] == CHUNK
     assert [running for _, running in calls] == sorted((running for _, running in calls), reverse=True)
+
+
+@pytest.mark.parametrize("horizon", [40, 320])
+def test_no_chunk_outlives_its_turn_however_long_the_episodes(flown, horizon):
+    env, params, policies, keys, ports, which, _ = flown
+    params = params._replace(horizon_steps=params.horizon_steps * 0 + horizon)
+    chunks = rollout(env, policies, keys, ports, which=which, params=params, chunk=CHUNK)
+    seen, most, length = [], 0, 0
+    for chunk in chunks:
+        seen.append(weakref.ref(chunk.frames.true_state))
+        length += len(chunk.decisions.outcome)
+        del chunk
+        most = max(most, sum(ref() is not None for ref in seen))
+    # The one that the iterator has just handed over, and none before it.
+    assert length >= horizon and most <= 1
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
-"""Fly whole episodes in batches, as one compiled program, and record them."""
+"""Fly episodes in batches, as one compiled program, and record them chunk by chunk."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -33,6 +33,26 @@ class Decision(NamedTuple):
     outcome: Int[Array, ""]
 
 
+class Chunk(NamedTuple):
+    """What a batch of B episodes flew in T decisions, as NumPy arrays with time first.
+
+    A slot that has ended is flown on, to no effect: its frames and decisions after `stop` belong to no episode.
+    """
+
+    frames: Frame
+    """(T, B, ...) the frame after each decision; the first chunk has one more at its beginning, the start."""
+    decisions: Decision
+    """(T, B, ...)"""
+    ended: Int[np.ndarray, "E"]
+    """Slots whose episodes ended in this chunk, ascending."""
+    stop: Int[np.ndarray, "E"]
+    """Decisions of this chunk that belong to each of them, 1 to T."""
+    info: dict[str, np.ndarray]
+    """(E, ...) the environment's final info of each of them."""
+    policy: Int[np.ndarray, "B"]
+    """Index into `POLICY_NAMES` of each slot's policy, -1 for one of another name."""
+
+
 def rollout(
     env: DockingEnv,
     policies: ScriptedPolicy | Sequence[ScriptedPolicy],
@@ -43,11 +63,12 @@ def rollout(
     params: Params | None = None,
     chunk: int = 360,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Episode]:
-    """Fly B episodes to their ends, recording every frame at the decision rate.
+) -> Iterator[Chunk]:
+    """Fly B episodes to their ends and yield every frame at the decision rate, a chunk at a time.
 
     The batch advances in chunks of `chunk` decisions, all running the same compiled program, until the last episode
-    has ended. An episode depends on its key, port and policy alone, not on its neighbours in the batch.
+    has ended. An episode depends on its key, port and policy alone, not on its neighbours in the batch. No chunk is
+    kept: memory does not grow with the length of the episodes. `episodes` makes whole episodes of the chunks.
 
     Args:
         policies: one policy, or several of which each slot flies one.
@@ -58,10 +79,10 @@ def rollout(
         progress: called after each chunk with decisions flown and the number of episodes still running.
 
     Returns:
-        B episodes in the order of `keys`.
+        An iterator that flies as it is read.
 
     Raises:
-        ValueError: shapes disagree or an index is out of range.
+        ValueError: shapes disagree or an index is out of range; at the call, before anything is read.
     """
     policies = tuple(policies) if isinstance(policies, Sequence) else (policies,)
     ports = np.asarray(ports, np.int32)
@@ -70,52 +91,94 @@ def rollout(
         raise ValueError(f"keys {keys.shape}, ports {ports.shape} and which {which.shape} must all have shape (B,)")
     if which.size and not (0 <= which.min() and which.max() < len(policies)):
         raise ValueError(f"which must be indices into the {len(policies)} policies, got {which.tolist()}")
-
-    # As the adapters do, whatever the environment's precision: draws differ in 64-bit mode.
     with jax.enable_x64(True):
         params = env.default_params() if params is None else params
-        if ports.size and not (0 <= ports.min() and ports.max() < params.goals.shape[0]):
-            raise ValueError(f"ports must be from 0 to {params.goals.shape[0] - 1}, got {ports.tolist()}")
-        carry, first = _start(env, params, policies, keys, ports)
-        frames, decisions = [jax.tree.map(lambda x: np.asarray(x)[None], first)], []
-        running = ports.size
-        while running:
-            carry, (frame, decision) = _fly(env, chunk, params, policies, which, carry)
-            frames.append(jax.tree.map(np.asarray, frame))
-            decisions.append(jax.tree.map(np.asarray, decision))
-            running = int(np.sum(decisions[-1].outcome[-1] == Outcome.RUNNING))
-            if progress is not None:
-                progress(chunk * len(decisions), running)
-        final = jax.tree.map(np.asarray, _info(env, params, carry[0]))
-    if not ports.size:
-        return []
-    names = [POLICY_NAMES.index(p.name) if p.name in POLICY_NAMES else -1 for p in policies]
-    return [_episode(i, frames, decisions, final, names[which[i]]) for i in range(ports.size)]
+    if ports.size and not (0 <= ports.min() and ports.max() < params.goals.shape[0]):
+        raise ValueError(f"ports must be from 0 to {params.goals.shape[0] - 1}, got {ports.tolist()}")
+    return _chunks(env, params, policies, keys, ports, which, chunk, progress)
 
 
-def _episode(slot: int, frames: list[Frame], decisions: list[Decision], final: dict, policy: int) -> Episode:
-    """One slot's flight, out of the chunks of the batch."""
+def _chunks(env, params, policies, keys, ports, which, length, progress) -> Iterator[Chunk]:
+    names = np.array([POLICY_NAMES.index(p.name) if p.name in POLICY_NAMES else -1 for p in policies])
+    running, flown = np.ones(ports.size, bool), 0
+    carry = first = None
+    while running.any():
+        # As the adapters do, whatever the environment's precision: draws differ in 64-bit mode. Left before each
+        # yield: the reader's code runs under its own flags.
+        with jax.enable_x64(True):
+            if carry is None:
+                carry, first = _start(env, params, policies, keys, ports)
+                first = jax.tree.map(lambda x: np.asarray(x)[None], first)
+            carry, recorded = _fly(env, length, params, policies, which, carry)
+            frames, decisions = jax.tree.map(np.asarray, recorded)
+            over = decisions.outcome != Outcome.RUNNING
+            ended = np.flatnonzero(running & over[-1])
+            final = _info(env, params, carry[0]) if ended.size else {}
+            info = {name: np.asarray(value)[ended] for name, value in final.items()}
+        if first is not None:
+            frames, first = jax.tree.map(lambda *x: np.concatenate(x), first, frames), None
+        running &= ~over[-1]
+        flown += length
+        if progress is not None:
+            progress(flown, int(running.sum()))
+        stop = np.argmax(over[:, ended], axis=0) + 1
+        made = Chunk(frames, decisions, ended, stop, info, names[which])
+        del recorded, frames, decisions, over
+        yield made
+        # The next chunk must not be flown beside this one.
+        del made
 
-    def joined(chunks, name, stop, dtype):
-        return np.concatenate([getattr(chunk, name)[:, slot] for chunk in chunks])[:stop].astype(dtype)
 
-    outcomes = joined(decisions, "outcome", None, np.int32)
-    length = int(np.argmax(outcomes != Outcome.RUNNING)) + 1
-    outcome = int(outcomes[length - 1])
+def episodes(chunks: Iterable[Chunk]) -> Iterator[Episode]:
+    """Whole episodes in the order of the slots, each as soon as it and all before it have ended.
+
+    Of a chunk only the running episodes' own frames are kept, in the types that an `Episode` has.
+    """
+    pieces: dict[int, list[dict[str, np.ndarray]]] = {}
+    whole: dict[int, Episode] = {}
+    ahead = 0
+    for chunk in chunks:
+        if not pieces and not whole and not ahead:
+            pieces = {slot: [] for slot in range(len(chunk.policy))}
+        length = len(chunk.decisions.outcome)
+        stops = dict(zip(chunk.ended.tolist(), chunk.stop.tolist()))
+        for slot, kept in pieces.items():
+            kept.append(_piece(chunk, slot, stops.get(slot, length)))
+        for row, (slot, stop) in enumerate(stops.items()):
+            final = {name: value[row] for name, value in chunk.info.items()}
+            outcome = int(chunk.decisions.outcome[stop - 1, slot])
+            whole[slot] = _episode(pieces.pop(slot), outcome, final, int(chunk.policy[slot]))
+        del chunk
+        while ahead in whole:
+            yield whole.pop(ahead)
+            ahead += 1
+
+
+def _piece(chunk: Chunk, slot: int, stop: int) -> dict[str, np.ndarray]:
+    """Copies of one slot's first `stop` decisions of a chunk and of their frames."""
+    extra = len(chunk.frames.epoch) - len(chunk.decisions.outcome)
+    return {
+        "observation": chunk.frames.observation[: stop + extra, slot].astype(np.float32),
+        "true_state": chunk.frames.true_state[: stop + extra, slot].astype(np.float64),
+        "epoch": chunk.frames.epoch[: stop + extra, slot].astype(np.float64),
+        "action": chunk.decisions.action[:stop, slot].astype(np.float32),
+        "reward": chunk.decisions.reward[:stop, slot].astype(np.float32),
+    }
+
+
+def _episode(pieces: list[dict[str, np.ndarray]], outcome: int, final: dict, policy: int) -> Episode:
+    joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+    length = len(joined["reward"])
     last = np.arange(length) == length - 1
     return Episode(
-        observation=joined(frames, "observation", length + 1, np.float32),
-        true_state=joined(frames, "true_state", length + 1, np.float64),
-        epoch=joined(frames, "epoch", length + 1, np.float64),
-        action=joined(decisions, "action", length, np.float32),
-        reward=joined(decisions, "reward", length, np.float32),
+        **joined,
         done=last,
         success=last & (outcome == Outcome.DOCKED),
-        port=int(final["port"][slot]),
-        goal_pose=final["goal_pose"][slot].astype(np.float64),
+        port=int(final["port"]),
+        goal_pose=final["goal_pose"].astype(np.float64),
         policy=policy,
         outcome=outcome,
-        info={name: value[slot] for name, value in final.items()},
+        info=final,
     )
 
 

@@ -229,7 +229,7 @@ class _Recorder:
 
         from owm_envs.env import DockingEnv
         from owm_envs.policies import make_policy
-        from owm_envs.rollout import rollout
+        from owm_envs.rollout import episodes, rollout
 
         if self._env is None:
             self.announce("compiling the simulator, once; this takes a while")
@@ -238,9 +238,9 @@ class _Recorder:
             self._policies = {name: make_policy(name, self._env) for name in names}
         names = list(self._policies)
         base = jax.random.fold_in(jax.random.key(np.uint32(self.request.seed)), ("train", "val").index(split))
-        episodes = np.arange(first, first + len(batch), dtype=np.uint32)
-        keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(base, episodes)
-        return rollout(
+        numbers = np.arange(first, first + len(batch), dtype=np.uint32)
+        keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(base, numbers)
+        chunks = rollout(
             self._env,
             list(self._policies.values()),
             keys,
@@ -248,6 +248,7 @@ class _Recorder:
             which=np.array([names.index(flight.policy) for flight in batch]),
             progress=flown,
         )
+        return episodes(chunks)
 
 
 def _summary(folder: Path, writer: SplitWriter) -> dict:

@@ -210,7 +210,7 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
     from owm.catalogue.checkpoint import load_world_model
     from owm_envs.env import DockingEnv
     from owm_envs.policies import make_policy
-    from owm_envs.rollout import rollout
+    from owm_envs.rollout import episodes, rollout
     from owm_envs.station import port_index
 
     announce("flying new episodes to predict ...")
@@ -223,7 +223,7 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
     which = np.arange(size.episodes) % len(names)
     with bar("flying", "steps") as update:
         update(0, 0, "compiling")
-        flown = rollout(
+        chunks = rollout(
             env,
             [make_policy(name, env) for name in names],
             keys,
@@ -231,6 +231,7 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
             which=which,
             progress=lambda done, running: update(done, config.horizon_decisions, f"{running} flying"),
         )
+        flown = list(episodes(chunks))
     groups = {
         ON_POLICY: at_model_rate([recorded(e) for e in flown if e.policy_name != "excite"]),
         PLANNER_STYLE: at_model_rate([recorded(e) for e in flown if e.policy_name == "excite"]),
@@ -242,9 +243,9 @@ def _predict(out: Path, config: DockingConfig, size: Scale, seed: int) -> None:
         ConstantVelocity(),
     ]
     stored = {}
-    for number, (group, episodes) in enumerate(groups.items()):
+    for number, (group, grouped) in enumerate(groups.items()):
         with bar(f"predicting {group}", "models") as update:
-            errors = predict(models, episodes, size.windows, seed, update)
+            errors = predict(models, grouped, size.windows, seed, update)
         for each in errors:
             stored[f"{number}|{group}|{each.name}"] = each.error
         stored["horizons"], stored["dt"] = np.asarray(errors[0].horizons), np.asarray(errors[0].dt)
