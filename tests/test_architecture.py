@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
     "owm_envs": [
-        {"registration", "words", "files", "cores"},
+        {"registration", "words", "files", "cores", "shell"},
         {"station"},
         {"config"},
         {"dynamics"},
@@ -21,6 +21,7 @@ FLOORS = {
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
         {"cli"},
+        {"__main__"},
     ],
     "owm": [
         {"interface", "checkpoint", "console", "stages"},
@@ -34,6 +35,7 @@ FLOORS = {
         {"study"},
         {"commands"},
         {"cli"},
+        {"__main__"},
     ],
 }
 """Rooms of a package, from the ground up; those on one floor do not know each other."""

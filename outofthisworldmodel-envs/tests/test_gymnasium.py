@@ -302,3 +302,24 @@ def test_the_pinned_trajectory(fidelity):
     for _ in range(40):
         *_, info = env.step(ACTION)
     np.testing.assert_allclose(info["true_state"], PINNED[fidelity], rtol=0, atol=1e-7)
+
+
+def test_make_vec_takes_what_make_takes():
+    """`max_episode_steps` truncates in the native batch as it does in the scalar environment."""
+    envs = gymnasium.make_vec("ISSHCW-v0", num_envs=2, max_episode_steps=3, disable_env_checker=True)
+    alone = gymnasium.make("ISSHCW-v0", max_episode_steps=3, disable_env_checker=True)
+    envs.reset(seed=0), alone.reset(seed=0)
+    for _ in range(3):
+        *_, together, _ = envs.step(np.tile(ACTION, (2, 1)))
+        *_, cut, _ = alone.step(ACTION)
+        assert together.tolist() == [cut, cut]
+    assert cut
+    with pytest.raises(ValueError, match="max_episode_steps must be an integer of at least 1, got 0"):
+        gymnasium.make_vec("ISSHCW-v0", num_envs=2, max_episode_steps=0)
+
+
+def test_a_batch_says_how_it_starts_again_and_what_is_a_success(vector):
+    env = vector()
+    assert env.autoreset_mode == AutoresetMode.NEXT_STEP
+    _, info = env.reset(seed=0)
+    assert info["is_success"].dtype == bool and not info["is_success"].any()

@@ -26,7 +26,7 @@ def test_help_imports_nothing_heavy():
     done = python(
         "import sys\nfrom owm.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit as stop:\n"
         "    assert stop.code in (0, None)\n"
-        "print([m for m in ('jax', 'matplotlib', 'gymnasium', 'equinox', 'pyarrow', 'cv2') if m in sys.modules])"
+        "print([m for m in ('jax', 'matplotlib', 'scipy', 'equinox', 'pyarrow', 'cv2') if m in sys.modules])"
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"
@@ -46,7 +46,7 @@ def test_importing_changes_no_jax_setting():
 
 def test_output_that_cannot_hold_a_letter_does_without_it():
     done = python(
-        "from owm.cli import tolerant_output\nfrom owm.report.terminal import print_table\n"
+        "from owm_envs.shell import tolerant_output\nfrom owm.report.terminal import print_table\n"
         "from owm.report.page import Table\ntolerant_output()\nprint_table(Table(['Δv m/s'], [['8.2']]))",
         PYTHONIOENCODING="cp1252",
         PYTHONUTF8="0",

@@ -1,10 +1,12 @@
 """The `owm-envs` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from owm_envs import __version__
+from owm_envs.shell import run
 
 
 def generate(
@@ -217,7 +219,11 @@ def station_show(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command; a user's mistake ends with exit code 2 and one line that says what it is."""
+    """Run the command; see `owm_envs.shell.run`."""
+    run("owm-envs", "Spacecraft docking environments.", __version__, _application, arguments)
+
+
+def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     config = tyro.extras.SubcommandApp()
     config.command(show)
     config.command(validate)
@@ -231,14 +237,7 @@ def main(arguments: list[str] | None = None) -> None:
     app.command(config, name="config", help="Print or check a configuration.")
     app.command(ports)
     app.command(station, name="station", help="The station's mesh, its picture, and boxes from a mesh of your own.")
-    try:
-        app.cli(prog="owm-envs", description="Spacecraft docking environments.", args=arguments)
-    except KeyboardInterrupt:
-        print("interrupted; a dataset is resumed by the same command", file=sys.stderr)
-        raise SystemExit(130) from None
-    except (ValueError, OSError, ImportError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+    return app
 
 
 if __name__ == "__main__":

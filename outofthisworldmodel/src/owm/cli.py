@@ -1,11 +1,13 @@
 """The `owm` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
 import os
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from owm import __version__
+from owm_envs import shell
 
 Shell = Literal["100-225", "100-125"]
 
@@ -39,10 +41,6 @@ def fly(
     from owm.commands.run import fly as run
 
     run(policy, port, flights=flights, seed=seed, shell=shell, noise=noise, fidelity=env, out=out, plot=plot)
-
-
-def evaluate() -> None:
-    """Score policies (`owm evaluate docking`, `owm evaluate matrix`) or predictions (`owm evaluate prediction`)."""
 
 
 def evaluate_docking(
@@ -228,43 +226,23 @@ def _train_ppo(preset: str):
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command; a user's mistake ends with exit code 2 and one line that says what it is."""
-    tolerant_output()
-    arguments = sys.argv[1:] if arguments is None else arguments
-    app, prog, description = tyro.extras.SubcommandApp(), "owm", "A world model of spacecraft rendezvous."
-    if arguments[:1] == ["evaluate"]:
-        app.command(evaluate_docking, name="docking")
-        app.command(evaluate_matrix, name="matrix")
-        app.command(evaluate_prediction, name="prediction")
-        arguments, prog, description = arguments[1:], "owm evaluate", evaluate.__doc__
-    else:
-        app.command(fly)
-        app.command(evaluate)
-        app.command(_train(_option(arguments, "--preset")), name="train")
-        app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
-        app.command(presets)
-        app.command(demo)
-    try:
-        app.cli(prog=prog, description=description, args=arguments)
-    except BrokenPipeError:
-        # Whoever read the output has gone, as `head` does; nothing more to say, at exit either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(1) from None
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
-    except (ValueError, OSError, ArithmeticError) as error:
-        if os.environ.get("OWM_TRACEBACK"):
-            raise
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        raise SystemExit(2) from None
+    """Run the command; see `owm_envs.shell.run`."""
+    shell.run("owm", "A world model of spacecraft rendezvous.", __version__, _application, arguments)
 
 
-def tolerant_output() -> None:
-    """Let what the encoding of redirected output lacks, such as Δ on Windows, come out as "?" instead of failing."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
+def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
+    evaluate = tyro.extras.SubcommandApp()
+    evaluate.command(evaluate_docking, name="docking")
+    evaluate.command(evaluate_matrix, name="matrix")
+    evaluate.command(evaluate_prediction, name="prediction")
+    app = tyro.extras.SubcommandApp()
+    app.command(fly)
+    app.command(evaluate, name="evaluate", help="Score policies (docking, matrix) or predictions (prediction).")
+    app.command(_train(_option(arguments, "--preset")), name="train")
+    app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
+    app.command(presets)
+    app.command(demo)
+    return app
 
 
 def _option(arguments: list[str], name: str) -> str:

@@ -204,6 +204,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
         num_envs: slots.
         config, render_mode, dynamics, overrides: as for `DockingGymEnv`.
         autoreset_mode: one of Gymnasium's `AutoresetMode`, or its name (which survives the spec's JSON).
+        max_episode_steps: decisions after which an episode is truncated, if the horizon does not end it before.
+        disable_env_checker: taken as `gymnasium.make` takes it; there is no checker of vector environments.
 
     `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool})`. A slot whose
     action is not finite ends as "invalid_action". In `info`, arrays are batched; a mask `_name` says where `name` is
@@ -224,8 +226,14 @@ class DockingVectorEnv(_Shell, VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         *,
         dynamics: Dynamics | None = None,
+        max_episode_steps: int | None = None,
+        disable_env_checker: bool | None = None,
         **overrides: Any,
     ):
+        del disable_env_checker  # there is none for vector environments
+        if max_episode_steps is not None:
+            config = _cut(load_config(config, **overrides), max_episode_steps)
+            overrides = {}
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         mode = _autoreset_mode(autoreset_mode)
@@ -237,6 +245,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         rate = max(1, round(1 / self.config.decision_dt))
         self.metadata = {**type(self).metadata, "autoreset_mode": mode, "render_fps": rate}
+        self.autoreset_mode = mode
         self._observation = np.zeros(self.observation_space.shape, np.float32)
         self._ended = np.zeros(num_envs, bool)
 
@@ -304,6 +313,14 @@ class DockingVectorEnv(_Shell, VectorEnv):
                 f"got {mask.dtype} {mask.shape}"
             )
         return mask
+
+
+def _cut(config: DockingConfig, decisions: int) -> DockingConfig:
+    """A configuration whose episodes last so many decisions at most."""
+    if not isinstance(decisions, (int, np.integer)) or decisions < 1:
+        raise ValueError(f"max_episode_steps must be an integer of at least 1, got {decisions!r}")
+    horizon = min(config.horizon, int(decisions) * config.decision_dt)
+    return config.model_copy(update={"horizon": horizon})
 
 
 def _autoreset_mode(mode) -> AutoresetMode:

@@ -265,7 +265,8 @@ class DockingEnv:
 
         Returns:
             true_state and measured_state (13,), goal_pose (7,), true_goal_error (12,), epoch [MJD day, s of day],
-            port, outcome, collided, clearance, the errors at closest approach, SI units, and what was drawn.
+            port, outcome, is_success, collided, clearance, the errors at closest approach, SI units, and what was
+            drawn.
         """
         goal = params.goals[state.port]
         return {
@@ -276,6 +277,7 @@ class DockingEnv:
             "epoch": self._epoch(state),
             "port": state.port,
             "outcome": state.outcome,
+            "is_success": state.outcome == Outcome.DOCKED,
             "collided": state.collided,
             "clearance": state.room.least,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
