@@ -4,7 +4,7 @@ All calls run in JAX's 64-bit mode, whatever the caller's; the state is opaque b
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -13,6 +13,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from astrojax.compilation import compiler_options
+from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.packing import Packing
 from owm_envs.adapters.seeds import seed_words
 from owm_envs.config import DockingConfig
@@ -50,13 +51,32 @@ class BatchProgram:
     ):
         self.env = DockingEnv(config, dynamics=dynamics)
         self.autoreset = autoreset
+        self.num_envs = num_envs
+
+    # JAX starts with the first of these that is asked for, not in the constructor: Gymnasium's asynchronous vector
+    # environment makes one environment before it forks.
+
+    @cached_property
+    def params(self) -> Params:
+        """The configuration's numbers as arrays."""
+        about_to_use_jax()
         with jax.enable_x64(True):
-            self.params: Params = self.env.default_params()
-        pieces = piece_count(num_envs)
-        self._slices = [slice(k * num_envs // pieces, (k + 1) * num_envs // pieces) for k in range(pieces)]
-        self._programs = _programs(self.env, num_envs // pieces)
+            return self.env.default_params()
+
+    @cached_property
+    def _slices(self) -> list[slice]:
+        about_to_use_jax()
+        count, pieces = self.num_envs, piece_count(self.num_envs)
+        return [slice(k * count // pieces, (k + 1) * count // pieces) for k in range(pieces)]
+
+    @cached_property
+    def _programs(self) -> "_Programs":
+        return _programs(self.env, self.num_envs // len(self._slices))
+
+    @cached_property
+    def _packed(self) -> dict[str, jax.Array]:
         with jax.enable_x64(True):
-            self._packed = self._programs.pack_params(self.params)
+            return self._programs.pack_params(self.params)
 
     @property
     def traces(self) -> dict[str, int]:
@@ -135,7 +155,8 @@ class BatchProgram:
                 kept, *host = call(k, self._slices[k])
                 return kept, *jax.tree.map(np.asarray, host)  # views; `jax.device_get` takes three times as long
 
-        others = [workers().submit(one, k) for k in range(1, len(self._slices))]
+        slices, _ = self._slices, self._packed  # before other threads ask for them
+        others = [workers().submit(one, k) for k in range(1, len(slices))]
         state, *host = zip(one(0), *(other.result() for other in others))
         return [state, *(joined(pieces) if join else pieces for pieces in host)]
 

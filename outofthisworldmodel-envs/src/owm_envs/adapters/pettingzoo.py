@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import gymnasium
@@ -11,9 +11,11 @@ import numpy as np
 from gymnasium import spaces
 
 from owm_envs.adapters.batch import state_from_host, state_to_host
+from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.gymnasium import RENDER_MODES, _named
 from owm_envs.adapters.seeds import checked_seed, drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
+from owm_envs.config.params import Params
 from owm_envs.env import FleetEnv, FleetState
 from owm_envs.station import goal_poses, port_index
 from owm_envs.words import unknown
@@ -49,10 +51,15 @@ class FleetProgram:
     def __init__(self, config: DockingConfig, num_chasers: int, observe_others: bool):
         self.env = FleetEnv(num_chasers, config, observe_others=observe_others)
         self.traces = {"reset": 0, "step": 0}
-        with jax.enable_x64(True):
-            self.params = self.env.default_params()
         self._reset = jax.jit(self._reset_fleet)
         self._step = jax.jit(self._step_fleet)
+
+    @cached_property
+    def params(self) -> Params:
+        """The configuration's numbers as arrays; made when first asked for, not in the constructor."""
+        about_to_use_jax()
+        with jax.enable_x64(True):
+            return self.env.default_params()
 
     def reset(self, key, ports) -> tuple[FleetState, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode: a key, ports (N,) with -1 for a drawn one."""
