@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
     "owm_envs": [
-        {"registration", "words", "files", "cores", "shell"},
+        {"registration", "words", "files", "cores", "shell", "flags"},
         {"station"},
         {"config"},
         {"dynamics"},

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 from owm_envs.config.params import Params
 from owm_envs.env import DockingEnv
 from owm_envs.episode import POLICY_NAMES, Episode
+from owm_envs.flags import own_flags
 from owm_envs.policies import ScriptedPolicy
 from owm_envs.task.events import Outcome
 from owm_envs.task.reset import named_key
@@ -91,7 +92,7 @@ def rollout(
         raise ValueError(f"keys {keys.shape}, ports {ports.shape} and which {which.shape} must all have shape (B,)")
     if which.size and not (0 <= which.min() and which.max() < len(policies)):
         raise ValueError(f"which must be indices into the {len(policies)} policies, got {which.tolist()}")
-    with jax.enable_x64(True):
+    with own_flags():
         params = env.default_params() if params is None else params
     if ports.size and not (0 <= ports.min() and ports.max() < params.goals.shape[0]):
         raise ValueError(f"ports must be from 0 to {params.goals.shape[0] - 1}, got {ports.tolist()}")
@@ -105,7 +106,7 @@ def _chunks(env, params, policies, keys, ports, which, length, progress) -> Iter
     while running.any():
         # As the adapters do, whatever the environment's precision: draws differ in 64-bit mode. Left before each
         # yield: the reader's code runs under its own flags.
-        with jax.enable_x64(True):
+        with own_flags():
             if carry is None:
                 carry, first = _start(env, params, policies, keys, ports)
                 first = jax.tree.map(lambda x: np.asarray(x)[None], first)

@@ -21,6 +21,7 @@ from owm_envs.config.params import Params
 from owm_envs.cores import core_count, workers
 from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
+from owm_envs.flags import own_flags
 from owm_envs.task.events import Outcome
 
 State = tuple[dict[str, jax.Array], ...]
@@ -60,7 +61,7 @@ class BatchProgram:
     def params(self) -> Params:
         """The configuration's numbers as arrays."""
         about_to_use_jax()
-        with jax.enable_x64(True):
+        with own_flags():
             return self.env.default_params()
 
     @cached_property
@@ -75,7 +76,7 @@ class BatchProgram:
 
     @cached_property
     def _packed(self) -> dict[str, jax.Array]:
-        with jax.enable_x64(True):
+        with own_flags():
             return self._programs.pack_params(self.params)
 
     @property
@@ -143,7 +144,7 @@ class BatchProgram:
 
     def from_host(self, state: EnvState) -> State:
         """The inverse of `to_host`."""
-        with jax.enable_x64(True):
+        with own_flags():
             packed = self._programs.of_state.pack(state)
             return tuple({name: matrix[part] for name, matrix in packed.items()} for part in self._slices)
 
@@ -151,7 +152,7 @@ class BatchProgram:
         """What `call` gives for each piece: the states, then what comes to NumPy, of the whole batch if joined."""
 
         def one(k):
-            with jax.enable_x64(True):  # of this thread
+            with own_flags():  # of this thread
                 kept, *host = call(k, self._slices[k])
                 return kept, *jax.tree.map(np.asarray, host)  # views; `jax.device_get` takes three times as long
 
@@ -269,11 +270,11 @@ def _typed(words) -> jax.Array:
 
 def state_to_host(state: EnvState) -> Any:
     """A state as NumPy arrays that pickle without loss."""
-    with jax.enable_x64(True):
+    with own_flags():
         return jax.device_get(key_words(state))
 
 
 def state_from_host(state: Any) -> EnvState:
     """The inverse of `state_to_host`."""
-    with jax.enable_x64(True):
+    with own_flags():
         return typed_keys(jax.tree.map(jnp.asarray, state))

@@ -17,6 +17,7 @@ from owm_envs.adapters.seeds import checked_seed, drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
 from owm_envs.env import FleetEnv, FleetState
+from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
 from owm_envs.words import unknown
 
@@ -58,18 +59,18 @@ class FleetProgram:
     def params(self) -> Params:
         """The configuration's numbers as arrays; made when first asked for, not in the constructor."""
         about_to_use_jax()
-        with jax.enable_x64(True):
+        with own_flags():
             return self.env.default_params()
 
     def reset(self, key, ports) -> tuple[FleetState, np.ndarray, dict[str, np.ndarray]]:
         """Start an episode: a key, ports (N,) with -1 for a drawn one."""
-        with jax.enable_x64(True):
+        with own_flags():
             state, *host = self._reset(self.params, key, np.asarray(ports, np.int32))
             return state, *jax.device_get(tuple(host))
 
     def step(self, state, actions):
         """Advance all chasers by one decision: actions (N, 6). Returns the state, a StepResult and the info."""
-        with jax.enable_x64(True):
+        with own_flags():
             state, *host = self._step(self.params, state, actions)
             return state, *jax.device_get(tuple(host))
 
@@ -296,6 +297,6 @@ class DockingParallelEnv(ParallelEnv):
         self.__dict__.update(kept)
         self._program = fleet_program(self.config, len(self.possible_agents), self._observe_others)
         if self._state is not None:
-            with jax.enable_x64(True):
+            with own_flags():
                 separation = jax.numpy.asarray(self._state.separation)
             self._state = FleetState(state_from_host(self._state.chasers), separation)

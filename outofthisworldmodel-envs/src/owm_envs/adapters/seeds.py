@@ -8,6 +8,8 @@ import jax
 import numpy as np
 from jaxtyping import Key, UInt32
 
+from owm_envs.flags import own_flags
+
 _MOST_DRAWN = 2**63
 
 
@@ -62,5 +64,5 @@ def _words(seed: int) -> tuple[int, int]:
 
 def seed_keys(seeds: Sequence[int]) -> Key[jax.Array, "B"]:
     """One key per seed."""
-    with jax.enable_x64(True):
+    with own_flags():
         return jax.random.wrap_key_data(seed_words(seeds), impl="threefry2x32")

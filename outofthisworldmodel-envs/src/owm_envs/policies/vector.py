@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from owm_envs.flags import own_flags
 from owm_envs.policies.base import ScriptedPolicy
 from owm_envs.station import goal_poses, port_index
 
@@ -98,9 +99,10 @@ class VectorPolicy:
         self._episodes = self._episodes + fresh
         kept = self._state if state is None else state
         fresh = np.ones_like(fresh) if kept is None else fresh
-        actions, self._state = _advance(
-            self.policy, kept, batch, fresh, self._ports, np.uint32(self._seed), self._episodes.astype(np.uint32)
-        )
+        with own_flags(jax.config.jax_enable_x64):
+            actions, self._state = _advance(
+                self.policy, kept, batch, fresh, self._ports, np.uint32(self._seed), self._episodes.astype(np.uint32)
+            )
         self._pending = np.zeros_like(self._pending)
         actions = np.asarray(actions, np.float32)
         return (actions[0] if single else actions), self._state

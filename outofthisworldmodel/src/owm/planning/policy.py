@@ -18,6 +18,7 @@ from owm_envs.config import DockingConfig
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv
 from owm_envs.field import GeodesicField, field_rows
+from owm_envs.flags import own_flags
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 
 
@@ -269,7 +270,7 @@ class PlannerPolicy:
             params = self.model.params
             if self._learner is not None:
                 params = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
-            with jax.enable_x64(self._wide):  # of this thread
+            with own_flags(self._wide):  # of this thread
                 output = replan(
                     self.model,
                     self.config.shape,
