@@ -7,6 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+
+from owm_envs.station import PORTS, goal_poses, hull_boxes, port_index
+
 PAGE = Path(__file__).parents[1] / "docs" / "jax.md"
 # Everything here runs once: programs that compile sooner are worth more than programs that run faster.
 QUICK = {**os.environ, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"}
@@ -50,3 +55,22 @@ def test_two_processes_fly_one_set_of_slots(tmp_path):
     assert [process.returncode for process in processes] == [0, 0]
     means = {re.search(r"process (\d) of 2: mean start ([\d.]+) m", text).groups() for text in said}
     assert {process for process, _ in means} == {"0", "1"} and len({mean for _, mean in means}) == 1
+
+
+def test_the_front_page_is_short_and_its_code_runs_as_it_stands(tmp_path):
+    page = (PAGE.parents[1] / "README.md").read_text(encoding="utf-8")
+    assert len(page.split()) <= 700
+    code = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    assert code
+    for number, block in enumerate(code):
+        file = tmp_path / f"block{number}.py"
+        file.write_text(block, encoding="utf-8")
+        subprocess.run([sys.executable, str(file)], check=True, timeout=200, env=QUICK)
+
+
+def test_what_the_glossary_says_of_hold_poses():
+    apart = np.array([np.linalg.norm(goal[:3] - np.asarray(port.interface)) for goal, port in zip(goal_poses(), PORTS)])
+    assert apart.min() == pytest.approx(3.66) and apart.max() == pytest.approx(6.5)
+    boxes, hold = hull_boxes(), goal_poses()[port_index("zvezda_aft"), :3]
+    outside = np.maximum(np.maximum(boxes[:, 0] - hold, hold - boxes[:, 1]), 0)
+    assert np.linalg.norm(outside, axis=1).min() - 2.25 == pytest.approx(3.75, abs=0.005)
