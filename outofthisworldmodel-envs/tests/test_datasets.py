@@ -1,9 +1,11 @@
 import json
+import shutil
 import subprocess
 import sys
 import time
 from collections import Counter
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -337,3 +339,41 @@ def test_the_columns_of_the_published_datasets_are_read_too(tmp_path, inertial):
 
 def test_policy_ids_in_files_never_change():
     assert POLICY_NAMES[:5] == ("random", "orbit", "dock", "dock-geodesic", "excite")
+
+
+@pytest.fixture
+def at_home(tmp_path, monkeypatch):
+    """An empty folder as the current one and as the user's own."""
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    monkeypatch.setenv("HOME", str(home))
+    return home
+
+
+def test_an_empty_folder_may_be_named_in_any_way(recorded, at_home):
+    """A finished run is published into what a link, ".", or "~" stands for; recording itself is `recorded`'s."""
+    whole, _ = recorded
+    (at_home / "target").mkdir()
+    (at_home / "link").symlink_to("target")
+    for name, place in [("link", "target"), ("~/tilde/", "tilde"), (".", ".")]:
+        place = (at_home / place).resolve()
+        partial = place.with_name(place.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        for child in [*place.iterdir()] if name == "." else []:
+            child.unlink() if child.is_symlink() else shutil.rmtree(child)
+        shutil.copytree(whole, partial)
+        (partial / "train" / ".info.json.17.partial").touch()  # of a writer that was killed
+        generate(name, CONFIG, REQUEST)
+        assert not partial.exists() and not list(place.rglob("*.partial"))
+        files = [file.relative_to(whole) for file in whole.rglob("*") if file.is_file()]
+        assert all((place / file).read_bytes() == (whole / file).read_bytes() for file in files)
+    assert (at_home.parent / "home") == at_home.resolve() == Path.cwd()
+
+
+def test_what_cannot_be_written_to_is_refused_before_anything_is_simulated(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    for out in (file, file / "below"):
+        with pytest.raises(NotADirectoryError, match="is no folder"):
+            generate(out, CONFIG, REQUEST)

@@ -51,6 +51,40 @@ def read_text(path: str | os.PathLike) -> str:
         raise ValueError(f"{os.fspath(path)} is not {encoding} text ({error.reason}): save it as UTF-8") from None
 
 
+def output_folder(path: str | os.PathLike) -> Path:
+    """Where results are to go, before any work is done for them: absolute, "~" and links followed.
+
+    Raises:
+        NotADirectoryError: the path, or what it lies in, is no folder.
+        PermissionError: nothing can be written there.
+    """
+    folder = Path(path).expanduser().resolve()
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{there} is no folder; choose another one to write to")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise PermissionError(f"{there} is not writable; choose another folder to write to")
+    return folder
+
+
+def publish(finished: Path, folder: Path) -> None:
+    """Let a finished folder take the place of one that is not there, or empty.
+
+    In one step, but where a folder has to stay what it is, as the current one and a mount do: its contents move then,
+    JSON last, and the same call goes on where it was killed. What killed writers left in the middle goes.
+    """
+    for left in finished.rglob(".*.partial"):
+        left.unlink()
+    if folder.is_dir() and (folder == Path.cwd() or os.path.ismount(folder)):
+        for child in sorted(finished.iterdir(), key=lambda child: child.suffix == ".json"):
+            shutil.move(child, folder / child.name)
+        finished.rmdir()
+        return
+    if folder.is_dir():
+        folder.rmdir()
+    os.replace(finished, folder)
+
+
 def slug(name: str) -> str:
     """A name as part of a file's name."""
     return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"

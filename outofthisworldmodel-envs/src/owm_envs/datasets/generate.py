@@ -3,7 +3,6 @@
 import errno
 import json
 import math
-import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from owm_envs.config import DockingConfig
 from owm_envs.datasets.card import dataset_card
 from owm_envs.datasets.writer import SplitWriter, write_json
 from owm_envs.episode import POLICY_NAMES, Episode
+from owm_envs.files import output_folder, publish
 from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
 
 FORMAT = 1
@@ -119,14 +119,18 @@ def generate(
         ValueError: no train port is configured.
         OSError: the disk is full.
     """
-    out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise FileExistsError(f"{out} exists already; choose another folder or delete it")
-    flights = {"train": train_flights(request, config), "val": val_flights(request, config)}
-    next(train_flights(request, config))  # refuse a configuration without train ports before anything is written
+    out = output_folder(out)
     partial = out.with_name(out.name + ".partial")
     settings = {"format": FORMAT, "request": asdict(request), "environment": config.model_dump(mode="json")}
     settings = json.loads(json.dumps(settings))
+    if (finished := _marker(partial)).get("result") and {name: finished[name] for name in settings} == settings:
+        publish(partial, out)  # all that was left to do when the run was killed
+        return finished["result"]
+    if out.exists() and any(out.iterdir()):
+        raise FileExistsError(f"{out} exists already; choose another folder or delete it")
+    output_folder(partial)
+    flights = {"train": train_flights(request, config), "val": val_flights(request, config)}
+    next(train_flights(request, config))  # refuse a configuration without train ports before anything is written
     targets = {"train": request.transitions, "val": request.val_transitions}
     least = {"train": 1, "val": len(config.ports)}
 
@@ -152,19 +156,21 @@ def generate(
                 errno.ENOSPC, f"the disk is full; free some space and run the same again to go on from {partial}"
             ) from None
         raise
-    if out.is_dir():
-        out.rmdir()
-    os.replace(partial, out)
+    publish(partial, out)
     return summary
 
 
+def _marker(partial: Path) -> dict:
+    """What a partial folder says of the run that makes it; {} where there is none."""
+    try:
+        return json.loads((partial / "generation.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+
+
 def _open_partial(partial: Path, settings: dict, announce) -> None:
-    marker = partial / "generation.json"
     if partial.exists() and any(partial.iterdir()):
-        try:
-            begun = json.loads(marker.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            begun = {}
+        begun = _marker(partial)
         if {name: begun.get(name) for name in settings} != settings:
             raise FileExistsError(
                 f"{partial} holds an unfinished run with other settings; delete it, or repeat that run to finish it"
@@ -172,7 +178,7 @@ def _open_partial(partial: Path, settings: dict, announce) -> None:
         announce(f"resuming {partial}")
     else:
         partial.mkdir(parents=True, exist_ok=True)
-        write_json(settings, marker)
+        write_json(settings, partial / "generation.json")
 
 
 def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict) -> None:

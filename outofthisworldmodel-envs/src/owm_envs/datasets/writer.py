@@ -1,7 +1,6 @@
 """Write one split as a LeRobot v3 dataset: a data file and an episode file for each batch, metadata at the end."""
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pyarrow.parquet as pq
 from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, columns_from_episode
 from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
 from owm_envs.episode import Episode
+from owm_envs.files import write_atomically
 from owm_envs.station.ports import PORT_NAMES
 
 FILES_PER_CHUNK = 1000
@@ -137,19 +137,14 @@ class SplitWriter:
 
 def write_json(value: dict, path: Path) -> None:
     """Write a JSON file in one step: complete or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".tmp")
-    unfinished.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
-    os.replace(unfinished, path)
+    write_atomically(path, lambda file: file.write(json.dumps(value, indent=2) + "\n"), text=True)
 
 
 def _write_parquet(table: pa.Table, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(path.name + ".tmp")
     # Measured numbers do not repeat: dictionaries would only cost time.
     repeating = [name for name, feature in FEATURES.items() if feature.width == 1 and name in table.column_names]
-    pq.write_table(table, unfinished, compression="zstd", compression_level=1, use_dictionary=repeating)
-    os.replace(unfinished, path)
+    options = {"compression": "zstd", "compression_level": 1, "use_dictionary": repeating}
+    write_atomically(path, lambda file: pq.write_table(table, file, **options))
 
 
 def _arrow(values: np.ndarray) -> pa.Array:

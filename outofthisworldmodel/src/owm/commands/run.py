@@ -25,7 +25,7 @@ from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
 from owm_envs.config import DockingConfig
-from owm_envs.files import slug
+from owm_envs.files import output_folder, slug
 from owm_envs.station import PORT_NAMES
 
 
@@ -40,6 +40,7 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | Non
         raise ValueError("--wandb needs Weights & Biases: pip install 'outofthisworldmodel[wandb]'")
     from owm.training.loop import train as run
 
+    out = output_folder(out)
     announce(f"reading {', '.join(str(path) for path in data)} ...")
     episodes, val = training_episodes(data)
     announce(f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on")
@@ -108,6 +109,7 @@ def fly(
         ValueError, FileNotFoundError: an unknown policy, port, shell, noise preset or fidelity.
     """
     kind_of(policy)
+    out = output_folder(out)
     config = evaluation_config(shell, noise=noise, fidelity=fidelity)
     seeds, ports = trials([port], flights, seed)
     flown = fly_named(policy, config, seeds, ports, seed=seed)
@@ -185,6 +187,7 @@ def evaluate_docking(
     """
     if not policies:
         raise ValueError("name at least one policy")
+    out = output_folder(out)
     short = ["/".join(Path(policy).parts[-2:]) for policy in policies]
     labels = policies if len(set(short)) < len(short) else short
     study = Study(title="Docking", policies=tuple(labels), figures=True, trajectories=tuple(labels))
@@ -197,7 +200,7 @@ def evaluate_docking(
     command = f"owm evaluate docking {' '.join(policies)} --flights {flights} --seed {seed} --shell {shell}"
     command += f" --noise {noise}" + (f" --ports {' '.join(ports)}" if ports else "")
     files, flown = _run_and_report(
-        matrix, Path(out), command, conditions=conditions, slots=slots, fresh=fresh, processes=processes
+        matrix, out, command, conditions=conditions, slots=slots, fresh=fresh, processes=processes
     )
     scored = [seeds[0] for seeds in flown.values()]
     files += write_results({each.policy: each for each in scored}, out)
@@ -234,7 +237,7 @@ def evaluate_matrix(
     Raises:
         ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
     """
-    matrix, out = read_matrix(Path(table)), Path(out)
+    matrix, out = read_matrix(Path(table)), output_folder(out)
     command = f"owm evaluate matrix {Path(table).name} --slots {slots} --processes {processes}"
     extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
     files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly, processes=processes)
