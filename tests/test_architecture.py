@@ -10,8 +10,8 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
     "owm_envs": [
-        {"registration", "words", "files", "cores", "shell", "flags"},
-        {"station"},
+        {"words", "registration", "files", "cores", "flags"},
+        {"shell", "station"},
         {"config"},
         {"dynamics"},
         {"task"},

@@ -172,3 +172,24 @@ def test_models_are_found_by_name_and_by_folder(tmp_path):
     (tmp_path / "run" / "model" / "weights.safetensors").write_bytes(b"cut")
     with pytest.raises(ValueError, match="damaged"):
         load_model(str(tmp_path / "run"), config)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("fly --policy pretraned", "did you mean 'pretrained'?"),
+        ("fly --seed -1", "seed must be an integer of at least 0, got -1"),
+        ("fly --out FILE", "is no folder"),
+        ("evaluate docking dock --ports zvezda", "did you mean 'zvezda_aft'?"),
+        ("evaluate docking dock --out FILE", "is no folder"),
+    ],
+)
+def test_a_mistake_is_one_line_before_anything_flies(command, said, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.touch()
+    words = command.replace("FILE", str(file)).split()
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words if "--out" in words else [*words, "--out", str(tmp_path / "out")])
+    told = capsys.readouterr().err.strip().splitlines()
+    assert ended.value.code == 2
+    assert said in told[-1] and told[-1].startswith("error: ") and "pydantic" not in told[-1]

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any, NoReturn
 
+from owm_envs.words import plain
+
 _GRACE = 2.0
 """Seconds that an interrupted command has to unwind before it is ended."""
 
@@ -46,7 +48,7 @@ def run(
     except (ValueError, OSError, ArithmeticError, ImportError) as error:
         if os.environ.get("OWM_TRACEBACK"):
             raise
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"error: {plain(error)}", file=sys.stderr)
         raise SystemExit(2) from None
 
 

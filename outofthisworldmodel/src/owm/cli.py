@@ -26,8 +26,8 @@ def fly(
     """Fly a policy to a docking port and print how it went.
 
     Args:
-        policy: dock, dock-geodesic, dock-geodesic-integral, random, orbit, ekf-mpc, oracle-mppi, the folder of a
-            checkpoint, online:FOLDER, or user/name on the hub.
+        policy: pretrained, dock, dock-geodesic, dock-geodesic-integral, random, orbit, excite, ekf-mpc, oracle-mppi,
+            constant-velocity, the folder of a checkpoint, online:FOLDER, or user/name on the hub.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.

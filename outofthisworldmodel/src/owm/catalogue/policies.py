@@ -1,13 +1,14 @@
 """Every policy by the name that commands and reports use, and what each of them is given."""
 
-import difflib
 import json
 import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from owm.catalogue.hub import PRETRAINED, is_repository, local_folder
+from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
+from owm_envs.words import unknown
 
 
 class Given(NamedTuple):
@@ -126,9 +127,8 @@ def kind_of(policy: str) -> str:
         return _KINDS[kind]
     if any(mark in policy for mark in (os.sep, "/", ".")):
         raise FileNotFoundError(f"there is no checkpoint at {policy!r}")
-    near = difflib.get_close_matches(policy, (*NAMES, "least-squares"), n=1, cutoff=0.4)
-    hint = f"; did you mean {near[0]!r}?" if near else ";"
-    raise ValueError(f"unknown policy {policy!r}{hint} known: {', '.join(NAMES)}, or the folder of a checkpoint")
+    known = (*NAMES, PRETRAINED.name)
+    raise ValueError(unknown("policy", policy, known) + " Or the folder of a checkpoint, or its name on the hub.")
 
 
 def _folder(policy: str) -> str:
@@ -161,10 +161,13 @@ def load_policy(
         A policy as `owm.scores.docking.Policy` describes it, with a `name`.
 
     Raises:
-        ValueError: the name is unknown, the checkpoint damaged, or the decision rate not the model's.
+        ValueError: the name is unknown, the seed negative, the checkpoint damaged, or the decision rate not the
+            model's.
         FileNotFoundError: there is nothing at the path.
     """
     kind = kind_of(policy)
+    if checked_seed(seed) >= 2**32:
+        raise ValueError(f"a policy's seed must be below 2**32, got {seed}")
     from owm_envs.env import DockingEnv
     from owm_envs.policies import VectorPolicy, make_policy
 

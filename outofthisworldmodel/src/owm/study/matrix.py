@@ -12,7 +12,7 @@ from owm.catalogue.policies import is_planned, kind_of
 from owm_envs.config.parts import Frozen
 from owm_envs.files import read_text, slug
 from owm_envs.station import PORT_NAMES, port_index
-from owm_envs.words import unknown
+from owm_envs.words import plain, unknown
 
 PLANNERS: dict[str, dict[str, Any]] = {
     "geodesic": {},
@@ -106,7 +106,7 @@ def read_matrix(path: Path) -> Matrix:
     try:
         return Matrix.model_validate(tomllib.loads(read_text(path)))
     except (tomllib.TOMLDecodeError, ValidationError) as error:
-        raise ValueError(f"{path} is no evaluation matrix: {error}") from None
+        raise ValueError(f"{path} is no evaluation matrix: {plain(error)}") from None
 
 
 @dataclass(frozen=True)
