@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from astrojax.attitude import quat_angle
-from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.adapters import batch
+from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.adapters.seeds import seed_keys
 from owm_envs.env import DockingEnv
 
