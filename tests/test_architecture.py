@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
     "owm_envs": [
-        {"words", "registration", "files", "cores", "flags"},
+        {"words", "registration", "files", "cores", "flags", "view"},
         {"shell", "station"},
         {"config"},
         {"dynamics"},

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 
 POLICY_NAMES: tuple[str, ...] = ("random", "orbit", "dock", "dock-geodesic", "excite", "dock-geodesic-integral")
 """Scripted policies; a policy's id in files is its place in this tuple. New names go to the end."""
@@ -17,8 +17,9 @@ class Episode:
     Row t of `action`, `reward`, `done` and `success` leads from frame t to frame t + 1.
     """
 
-    observation: Float[np.ndarray, "T+1 13"]
-    """float32 measured relative view, as the policy saw it."""
+    observation: dict[str, Shaped[np.ndarray, "T+1 ..."]]
+    """What the policy saw, by parts: "state" is the float32 measured relative view (T+1, 13), whatever the observation's
+    layout was; the others are as their sensors gave them."""
     true_state: Float[np.ndarray, "T+1 13"]
     """float64 true relative view."""
     epoch: Float[np.ndarray, "T+1 2"]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key, Shaped
 
 from owm_envs.config.params import Params
 from owm_envs.env import DockingEnv
@@ -16,12 +16,14 @@ from owm_envs.flags import own_flags
 from owm_envs.policies import ScriptedPolicy
 from owm_envs.task.events import Outcome
 from owm_envs.task.reset import named_key
+from owm_envs.task.sensors import STATE
 
 
 class Frame(NamedTuple):
     """What is recorded of one instant of one episode."""
 
-    observation: Float[Array, "13"]
+    observation: dict[str, Shaped[Array, "..."]]
+    """Parts by name; the state part is the measured relative view (13,) alone, in SI units."""
     true_state: Float[Array, "13"]
     epoch: Float[Array, "2"]
 
@@ -135,7 +137,7 @@ def episodes(chunks: Iterable[Chunk]) -> Iterator[Episode]:
 
     Of a chunk only the running episodes' own frames are kept, in the types that an `Episode` has.
     """
-    pieces: dict[int, list[dict[str, np.ndarray]]] = {}
+    pieces: dict[int, list[dict[str, Any]]] = {}
     whole: dict[int, Episode] = {}
     ahead = 0
     for chunk in chunks:
@@ -155,20 +157,21 @@ def episodes(chunks: Iterable[Chunk]) -> Iterator[Episode]:
             ahead += 1
 
 
-def _piece(chunk: Chunk, slot: int, stop: int) -> dict[str, np.ndarray]:
+def _piece(chunk: Chunk, slot: int, stop: int) -> dict[str, Any]:
     """Copies of one slot's first `stop` decisions of a chunk and of their frames."""
     extra = len(chunk.frames.epoch) - len(chunk.decisions.outcome)
+    frames = jax.tree.map(lambda values: values[: stop + extra, slot].copy(), chunk.frames)
     return {
-        "observation": chunk.frames.observation[: stop + extra, slot].astype(np.float32),
-        "true_state": chunk.frames.true_state[: stop + extra, slot].astype(np.float64),
-        "epoch": chunk.frames.epoch[: stop + extra, slot].astype(np.float64),
+        "observation": frames.observation,
+        "true_state": frames.true_state.astype(np.float64),
+        "epoch": frames.epoch.astype(np.float64),
         "action": chunk.decisions.action[:stop, slot].astype(np.float32),
         "reward": chunk.decisions.reward[:stop, slot].astype(np.float32),
     }
 
 
-def _episode(pieces: list[dict[str, np.ndarray]], outcome: int, final: dict, policy: int) -> Episode:
-    joined = {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+def _episode(pieces: list[dict[str, Any]], outcome: int, final: dict, policy: int) -> Episode:
+    joined = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
     length = len(joined["reward"])
     last = np.arange(length) == length - 1
     return Episode(
@@ -184,7 +187,8 @@ def _episode(pieces: list[dict[str, np.ndarray]], outcome: int, final: dict, pol
 
 
 def _frame(env, params, state, observation):
-    return Frame(env.layout.measured_view(observation), state.view, env.info(params, state)["epoch"])
+    seen = {**observation, STATE: env.layout.measured_view(observation)}
+    return Frame(seen, state.view, env.info(params, state)["epoch"])
 
 
 @partial(jax.jit, static_argnames="env")

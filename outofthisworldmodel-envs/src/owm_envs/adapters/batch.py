@@ -16,10 +16,8 @@ from astrojax.compilation import compiler_options
 from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.packing import Packing
 from owm_envs.adapters.seeds import seed_words
-from owm_envs.config import DockingConfig
 from owm_envs.config.params import Params
 from owm_envs.cores import core_count, workers
-from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
 from owm_envs.flags import own_flags
 from owm_envs.task.events import Outcome
@@ -27,6 +25,8 @@ from owm_envs.task.events import Outcome
 State = tuple[dict[str, jax.Array], ...]
 """Of each piece of a batch, packed, its keys as words. Each array in or out costs a call a microsecond and more, and a
 typed key JAX's slow path."""
+Seen = dict[str, np.ndarray]
+"""The parts of a batch's observations, by name."""
 _LEAST_PIECE = 128
 """Slots; below that a second thread costs more than it brings."""
 
@@ -36,21 +36,19 @@ class StepOutput(NamedTuple):
 
     result: StepResult
     info: dict[str, Any]
-    final_observation: Any
+    final_observation: Seen | None
     final_info: dict[str, Any] | None
 
 
 class BatchProgram:
-    """`reset`, `reset_where` and `step` of a batch of episodes of one configuration.
+    """`reset`, `reset_where` and `step` of a batch of episodes of one environment.
 
     The programs behind it are shared by all batches of equal structure and size. On the CPU a batch
     is flown in equal pieces side by side, one to a core; a state is a tuple of them, opaque outside.
     """
 
-    def __init__(
-        self, config: DockingConfig, autoreset: AutoresetMode, num_envs: int, dynamics: Dynamics | None = None
-    ):
-        self.env = DockingEnv(config, dynamics=dynamics)
+    def __init__(self, env: DockingEnv, autoreset: AutoresetMode, num_envs: int):
+        self.env = env
         self.autoreset = autoreset
         self.num_envs = num_envs
 
@@ -96,13 +94,13 @@ class BatchProgram:
         """The key of its seed for each slot that is seeded, that of the next episode for the others."""
         return np.where(seeded[:, None], self.keys(seeds), self.next_keys(state))
 
-    def reset(self, keys, ports) -> tuple[State, np.ndarray, dict[str, np.ndarray]]:
+    def reset(self, keys, ports) -> tuple[State, Seen, dict[str, np.ndarray]]:
         """Start an episode in every slot: keys (B, 2), ports (B,) with -1 for a drawn one."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(lambda k, part: self._programs.reset(self._packed, keys[part], ports[part]))
         return state, *self._programs.of_seen.unpack(host)
 
-    def reset_where(self, state: State, mask, keys, ports) -> tuple[State, np.ndarray, dict[str, np.ndarray]]:
+    def reset_where(self, state: State, mask, keys, ports) -> tuple[State, Seen, dict[str, np.ndarray]]:
         """Start an episode in the slots of `mask` (B,); the observation is meaningful there only."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(
@@ -225,7 +223,8 @@ class _Programs:
     def _restart_batch(self, params, state, due):
         self.traces["restart"] += 1
         params = self._unpack_params(params)
-        observation = jnp.zeros((due.shape[0], self.env.layout.size), jnp.float32)
+        parts = self.env.observation_parts
+        observation = {name: jnp.zeros((due.shape[0], *part.shape), part.dtype) for name, part in parts.items()}
         state, observation = restart_where(self.env, params, due, self.unpack_state(state), observation)
         return self._pack_state(state), self._seen(params, state, observation)
 

@@ -1,6 +1,7 @@
 """Gymnasium's `Env` and `VectorEnv` over the compiled batch; the scalar one is a batch of one."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -9,39 +10,39 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from owm_envs.adapters.batch import BatchProgram
+from owm_envs.adapters.batch import BatchProgram, Seen
+from owm_envs.adapters.parts import Shown, each, shown, space_of
 from owm_envs.adapters.seeds import checked_seed, drawn_seed, slot_seeds
 from owm_envs.config import DockingConfig, load_config
-from owm_envs.dynamics import Dynamics, require_dynamics
+from owm_envs.dynamics import Dynamics
+from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import Outcome
+from owm_envs.task.sensors import Sensor
 from owm_envs.words import unknown
 
-_PORTS = np.array(PORT_NAMES)
-_OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 RENDER_MODES = ("rgb_array",)
 
 
 class _Shell:
     """What both adapters share: the configuration, spaces, the opaque state and its pictures."""
 
-    def _build(self, config, overrides, num_envs: int, autoreset: AutoresetMode, render_mode: str | None, dynamics):
+    def _build(
+        self, config, overrides, num_envs: int, autoreset: AutoresetMode, render_mode: str | None, dynamics, sensors
+    ):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
         self.config: DockingConfig = load_config(config, **overrides)
         self.render_mode = render_mode
-        if dynamics is not None:
-            require_dynamics(dynamics)
-        self._dynamics: Dynamics | None = dynamics
-        self._program = BatchProgram(self.config, autoreset, num_envs, dynamics)
-        self.docking_env = self._program.env
+        self.docking_env = DockingEnv(self.config, dynamics=dynamics, sensors=sensors)
+        self._program = BatchProgram(self.docking_env, autoreset, num_envs)
         self._num_slots = num_envs
         self._state = None
         self._paths: list[list[np.ndarray]] = [[] for _ in range(num_envs)]
         layout = self.docking_env.layout
         limit = np.ones(6) if self.config.normalize else np.asarray(layout.wrench_limit)
         action_space = spaces.Box(-limit.astype(np.float32), limit.astype(np.float32), dtype=np.float32)
-        return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32), action_space
+        return space_of(self.docking_env.observation_parts), action_space
 
     @property
     def layout(self):
@@ -110,10 +111,9 @@ class _Shell:
         view, port = host.view[slot], int(host.port[slot])
         goal = goal_poses()[port]
         seconds = float(host.physics.elapsed[slot])
-        name = self.config.fidelity if self._dynamics is None else type(self._dynamics).__name__
         lines = [
-            f"{name}   {PORT_NAMES[port]}",
-            f"t {seconds:6.1f} s   {_OUTCOMES[int(host.outcome[slot])]}",
+            f"{self.docking_env.name}   {PORT_NAMES[port]}",
+            f"t {seconds:6.1f} s   {Outcome(int(host.outcome[slot])).name.lower()}",
             f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
             f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
             f"clearance {float(host.room.least[slot]):6.2f} m (least)",
@@ -122,15 +122,14 @@ class _Shell:
         return draw_schematic(boxes, goal_poses(), view, np.asarray(self._paths[slot]), port, lines)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {k: v for k, v in self.__dict__.items() if k not in ("_program", "docking_env", "_state")}
+        kept = {k: v for k, v in self.__dict__.items() if k not in ("_program", "_state")}
         kept["_autoreset"] = self._program.autoreset
         kept["_host_state"] = None if self._state is None else self._program.to_host(self._state)
         return kept
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         kept = dict(kept)
-        self._program = BatchProgram(kept["config"], kept.pop("_autoreset"), kept["_num_slots"], kept["_dynamics"])
-        self.docking_env = self._program.env
+        self._program = BatchProgram(kept["docking_env"], kept.pop("_autoreset"), kept["_num_slots"])
         state = kept.pop("_host_state")
         self._state = None if state is None else self._program.from_host(state)
         self.__dict__.update(kept)
@@ -144,6 +143,8 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             survive JSON).
         render_mode: None or "rgb_array".
         dynamics: equations of motion of your own in place of the fidelity's, as `DockingEnv` takes them.
+        sensors: what the chaser carries beside relative navigation, as `DockingEnv` takes them. With any,
+            observations are dicts of parts.
         overrides: fields of `DockingConfig`, and `preset`.
 
     `reset(options={"dock_port": NAME})` assigns the port of that episode. An action outside the box is clipped; one
@@ -153,9 +154,15 @@ class DockingGymEnv(_Shell, gymnasium.Env):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012 - Gymnasium's interface
 
     def __init__(
-        self, config=None, render_mode: str | None = None, *, dynamics: Dynamics | None = None, **overrides: Any
+        self,
+        config=None,
+        render_mode: str | None = None,
+        *,
+        dynamics: Dynamics | None = None,
+        sensors: Sequence[Sensor] = (),
+        **overrides: Any,
     ):
-        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode, dynamics)
+        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode, dynamics, sensors)
         self.observation_space, self.action_space = spaces_
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
 
@@ -172,7 +179,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             super().reset(seed=seed)
         self._state, observation, info = self._program.reset(keys, ports)
         self._new_paths(info, [0])
-        return observation[0].copy(), _scalar_info(info)
+        return _first(observation), scalar_info(info, 0)
 
     def step(self, action):
         """Hold an action [N, N m] (or fractions of the limits when normalised) for one decision."""
@@ -183,11 +190,11 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         result = output.result
         self._extend_paths(output.info, np.zeros(1, bool))
         return (
-            result.observation[0].copy(),
+            _first(result.observation),
             float(result.reward[0]),
             bool(result.terminated[0]),
             bool(result.truncated[0]),
-            _scalar_info(output.info),
+            scalar_info(output.info, 0),
         )
 
     def render(self):
@@ -202,13 +209,13 @@ class DockingVectorEnv(_Shell, VectorEnv):
 
     Args:
         num_envs: slots.
-        config, render_mode, dynamics, overrides: as for `DockingGymEnv`.
+        config, render_mode, dynamics, sensors, overrides: as for `DockingGymEnv`.
         autoreset_mode: one of Gymnasium's `AutoresetMode`, or its name (which survives the spec's JSON).
         max_episode_steps: decisions after which an episode is truncated, if the horizon does not end it before.
         disable_env_checker: taken as `gymnasium.make` takes it; there is no checker of vector environments.
 
     `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool})`. A slot whose
-    action is not finite ends as "invalid_action". In `info`, arrays are batched; a mask `_name` says where `name` is
+    action is not finite ends as `Outcome.INVALID_ACTION`. In `info`, arrays are batched; a mask `_name` says where `name` is
     set.
     """
 
@@ -226,6 +233,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         *,
         dynamics: Dynamics | None = None,
+        sensors: Sequence[Sensor] = (),
         max_episode_steps: int | None = None,
         disable_env_checker: bool | None = None,
         **overrides: Any,
@@ -239,14 +247,14 @@ class DockingVectorEnv(_Shell, VectorEnv):
         mode = _autoreset_mode(autoreset_mode)
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = self._build(
-            config, overrides, num_envs, mode, render_mode, dynamics
+            config, overrides, num_envs, mode, render_mode, dynamics, sensors
         )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         rate = max(1, round(1 / self.config.decision_dt))
         self.metadata = {**type(self).metadata, "autoreset_mode": mode, "render_fps": rate}
         self.autoreset_mode = mode
-        self._observation = np.zeros(self.observation_space.shape, np.float32)
+        self._observation: Shown | None = None
         self._ended = np.zeros(num_envs, bool)
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options=None):
@@ -267,13 +275,14 @@ class DockingVectorEnv(_Shell, VectorEnv):
         if self._state is None or mask.all():
             if not mask.all():
                 raise gymnasium.error.ResetNeeded("the first reset() must start every slot: no reset_mask yet")
-            self._state, observation, info = self._program.reset(keys, ports)
+            self._state, parts, info = self._program.reset(keys, ports)
+            self._observation = shown(parts)
         else:
-            self._state, observation, info = self._program.reset_where(self._state, mask, keys, ports)
-        self._observation = np.where(mask[:, None], observation, self._observation)
+            self._state, parts, info = self._program.reset_where(self._state, mask, keys, ports)
+            self._observation = each(partial(_where, mask), shown(parts), self._observation)
         self._ended = self._ended & ~mask
         self._new_paths(info, np.flatnonzero(mask))
-        return self._observation.copy(), _vector_info(info, mask)
+        return each(np.copy, self._observation), _vector_info(info, mask)
 
     def step(self, actions):
         """Hold one action (num_envs, 6) per slot for one decision."""
@@ -290,13 +299,13 @@ class DockingVectorEnv(_Shell, VectorEnv):
         if self.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP:
             restarted = ended
             if ended.any():
-                info["final_obs"], info["_final_obs"] = output.final_observation, ended
+                info["final_obs"], info["_final_obs"] = shown(output.final_observation), ended
                 info["final_info"], info["_final_info"] = _vector_info(output.final_info, ended), ended
         self._ended = ended
         self._extend_paths(output.info, restarted)
-        self._observation = result.observation
+        self._observation = shown(result.observation)
         terminated, truncated = result.terminated.copy(), result.truncated.copy()
-        return self._observation.copy(), result.reward.astype(np.float64), terminated, truncated, info
+        return each(np.copy, self._observation), result.reward.astype(np.float64), terminated, truncated, info
 
     def render(self):
         """A picture per slot, or None without a render mode."""
@@ -332,14 +341,18 @@ def _autoreset_mode(mode) -> AutoresetMode:
     return known[mode]
 
 
-def _named(info: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {**info, "port": _PORTS.take(info["port"]), "outcome": _OUTCOMES.take(info["outcome"])}
+def _where(mask: np.ndarray, new: np.ndarray, old: np.ndarray) -> np.ndarray:
+    return np.where(mask.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
 
-def _scalar_info(info: dict[str, np.ndarray]) -> dict[str, Any]:
-    return {name: v[0] if v.ndim > 1 else v[0].item() for name, v in _named(info).items()}
+def _first(parts: Seen) -> Shown:
+    return each(lambda batch: batch[0].copy(), shown(parts))
+
+
+def scalar_info(info: dict[str, np.ndarray], slot: int) -> dict[str, np.ndarray | np.generic]:
+    """The info of one slot: NumPy scalars and arrays; truths as arrays (), since converters refuse `numpy.bool_`."""
+    return {name: v[slot, ...] if v.ndim > 1 or v.dtype == bool else v[slot] for name, v in info.items()}
 
 
 def _vector_info(info: dict[str, np.ndarray], mask: np.ndarray) -> dict[str, Any]:
-    named = _named(info)
-    return {**named, **{f"_{name}": mask.copy() for name in named}}
+    return {**info, **{f"_{name}": mask.copy() for name in info}}

@@ -10,15 +10,18 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
-from owm_envs.adapters.batch import state_from_host, state_to_host
+from owm_envs.adapters.batch import Seen, state_from_host, state_to_host
 from owm_envs.adapters.fork import about_to_use_jax
-from owm_envs.adapters.gymnasium import RENDER_MODES, _named
+from owm_envs.adapters.gymnasium import RENDER_MODES, scalar_info
+from owm_envs.adapters.parts import Shown, each, shown, space_of
 from owm_envs.adapters.seeds import checked_seed, drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
 from owm_envs.env import FleetEnv, FleetState
 from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
+from owm_envs.task.events import Outcome
+from owm_envs.task.sensors import Sensor
 from owm_envs.words import unknown
 
 try:
@@ -49,8 +52,8 @@ class FleetProgram:
     `traces` counts compilations by program.
     """
 
-    def __init__(self, config: DockingConfig, num_chasers: int, observe_others: bool):
-        self.env = FleetEnv(num_chasers, config, observe_others=observe_others)
+    def __init__(self, config: DockingConfig, num_chasers: int, observe_others: bool, sensors: tuple[Sensor, ...]):
+        self.env = FleetEnv(num_chasers, config, observe_others=observe_others, sensors=sensors)
         self.traces = {"reset": 0, "step": 0}
         self._reset = jax.jit(self._reset_fleet)
         self._step = jax.jit(self._step_fleet)
@@ -62,7 +65,7 @@ class FleetProgram:
         with own_flags():
             return self.env.default_params()
 
-    def reset(self, key, ports) -> tuple[FleetState, np.ndarray, dict[str, np.ndarray]]:
+    def reset(self, key, ports) -> tuple[FleetState, Seen, dict[str, np.ndarray]]:
         """Start an episode: a key, ports (N,) with -1 for a drawn one."""
         with own_flags():
             state, *host = self._reset(self.params, key, np.asarray(ports, np.int32))
@@ -86,16 +89,18 @@ class FleetProgram:
 
 
 @lru_cache(maxsize=32)
-def fleet_program(config: DockingConfig, num_chasers: int, observe_others: bool) -> FleetProgram:
+def fleet_program(
+    config: DockingConfig, num_chasers: int, observe_others: bool, sensors: tuple[Sensor, ...]
+) -> FleetProgram:
     """The program of a configuration, shared by all environments that have it."""
-    return FleetProgram(config, num_chasers, observe_others)
+    return FleetProgram(config, num_chasers, observe_others, sensors)
 
 
 class DockingParallelEnv(ParallelEnv):
     """`num_chasers` agents "chaser_0", "chaser_1", ... that dock at distinct ports at once; see `FleetEnv`.
 
     An agent leaves `agents` when its episode has ended; its vehicle stays where it is, an obstacle to the others.
-    Observations are laid out as `layout` (a `FleetLayout`) says; infos hold the truth, for scoring. `state()` is
+    Observations, or the state part of those with `sensors`, are laid out as `layout` (a `FleetLayout`) says; infos hold the truth, for scoring. `state()` is
     the truth of the whole fleet, for centralised critics: for each chaser, its true relative view (13), true goal error
     (12) and whether its episode is running.
 
@@ -103,6 +108,7 @@ class DockingParallelEnv(ParallelEnv):
         num_chasers: agents, at most the number of configured ports.
         config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file.
         observe_others: whether observations end with where the other chasers are.
+        sensors: what each chaser carries beside relative navigation, as `DockingEnv` takes them.
         render_mode: None or "rgb_array".
         overrides: fields of `DockingConfig` (`fidelity="iss-hcw"`, `noise="cooperative"`, ...), and `preset`.
 
@@ -123,6 +129,7 @@ class DockingParallelEnv(ParallelEnv):
         config=None,
         *,
         observe_others: bool = True,
+        sensors: Sequence[Sensor] = (),
         render_mode: str | None = None,
         **overrides: Any,
     ):
@@ -131,7 +138,8 @@ class DockingParallelEnv(ParallelEnv):
         self.config: DockingConfig = load_config(config, **overrides)
         self.render_mode = render_mode
         self._observe_others = observe_others
-        self._program = fleet_program(self.config, num_chasers, observe_others)
+        self._sensors = tuple(sensors)
+        self._program = fleet_program(self.config, num_chasers, observe_others, self._sensors)
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
         self.possible_agents = [f"chaser_{index}" for index in range(num_chasers)]
         self.agents: list[str] = []
@@ -139,7 +147,7 @@ class DockingParallelEnv(ParallelEnv):
         limit = limit.astype(np.float32)
         self._action_spaces = {agent: spaces.Box(-limit, limit, dtype=np.float32) for agent in self.possible_agents}
         self._observation_spaces = {
-            agent: spaces.Box(-np.inf, np.inf, (self.layout.size,), np.float32) for agent in self.possible_agents
+            agent: space_of(self._program.env.observation_parts) for agent in self.possible_agents
         }
         self.state_space = spaces.Box(-np.inf, np.inf, (26 * num_chasers,), np.float32)
         self._state: FleetState | None = None
@@ -161,7 +169,7 @@ class DockingParallelEnv(ParallelEnv):
         """Compilations so far of this configuration's programs."""
         return dict(self._program.traces)
 
-    def observation_space(self, agent: str) -> spaces.Box:
+    def observation_space(self, agent: str) -> spaces.Space:
         """The space of an agent's observations."""
         return self._observation_spaces[agent]
 
@@ -209,7 +217,7 @@ class DockingParallelEnv(ParallelEnv):
         """The truth of the whole fleet, float32: view 13, goal error 12 and whether it is running, of each chaser."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset() before state()")
-        running = (self._info["outcome"] == 0)[:, None]
+        running = (self._info["outcome"] == Outcome.RUNNING)[:, None]
         parts = [self._info["true_state"], self._info["true_goal_error"], running]
         return np.concatenate(parts, axis=1).astype(np.float32).ravel()
 
@@ -221,11 +229,11 @@ class DockingParallelEnv(ParallelEnv):
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         from owm_envs.render.fleet import draw_fleet
 
-        named = _named({name: np.array(value) for name, value in self._info.items()})
-        distances = np.linalg.norm(named["true_goal_error"][:, :3], axis=1)
+        distances = np.linalg.norm(self._info["true_goal_error"][:, :3], axis=1)
+        outcomes = [Outcome(code) for code in self._info["outcome"].tolist()]
         notes = [
-            f"{distance:.1f} m" if outcome == "running" else str(outcome)
-            for distance, outcome in zip(distances, named["outcome"])
+            f"{distance:.1f} m" if outcome is Outcome.RUNNING else outcome.name.lower()
+            for distance, outcome in zip(distances, outcomes)
         ]
         seconds = float(jax.device_get(self._state.chasers.physics.elapsed))
         boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
@@ -276,16 +284,13 @@ class DockingParallelEnv(ParallelEnv):
             stacked[index] = action
         return stacked
 
-    def _by_agent(self, rows: np.ndarray, agents: list[str]) -> dict[str, np.ndarray]:
-        return {agent: rows[self.possible_agents.index(agent)].copy() for agent in agents}
+    def _by_agent(self, parts: dict[str, np.ndarray], agents: list[str]) -> dict[str, Shown]:
+        slots = {agent: self.possible_agents.index(agent) for agent in agents}
+        return {agent: each(lambda rows, slot=slot: rows[slot].copy(), shown(parts)) for agent, slot in slots.items()}
 
     def _infos(self, agents: list[str]) -> dict[str, dict[str, Any]]:
-        named = _named({name: np.array(value) for name, value in self._info.items()})
-        rows = {}
-        for agent in agents:
-            slot = self.possible_agents.index(agent)
-            rows[agent] = {name: v[slot] if v.ndim > 1 else v[slot].item() for name, v in named.items()}
-        return rows
+        info = {name: np.array(value) for name, value in self._info.items()}
+        return {agent: scalar_info(info, self.possible_agents.index(agent)) for agent in agents}
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in self.__dict__.items() if name != "_program"}
@@ -295,7 +300,7 @@ class DockingParallelEnv(ParallelEnv):
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
         self.__dict__.update(kept)
-        self._program = fleet_program(self.config, len(self.possible_agents), self._observe_others)
+        self._program = fleet_program(self.config, len(self.possible_agents), self._observe_others, self._sensors)
         if self._state is not None:
             with own_flags():
                 separation = jax.numpy.asarray(self._state.separation)

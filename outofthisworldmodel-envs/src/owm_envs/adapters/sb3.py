@@ -8,9 +8,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from owm_envs.adapters.gymnasium import DockingVectorEnv
+from owm_envs.adapters.parts import Shown, each
 from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
 from owm_envs.registration import IDS
+from owm_envs.task.events import Outcome
 from owm_envs.words import unknown
 
 try:
@@ -47,7 +49,7 @@ def make_vec_env(
         normalize: actions in [-1, 1] and scaled observations, what `stable_baselines3` expects.
         infos: "ended" fills an info only when its episode ends, "all" every step (slower for large batches).
         render_mode: None or "rgb_array".
-        overrides: fields of `DockingConfig`, and `dynamics`.
+        overrides: fields of `DockingConfig`, `dynamics` and `sensors`.
 
     Raises:
         ValueError: an unknown id, field, preset or port (naming the nearest), or a value out of bounds.
@@ -73,7 +75,7 @@ class DockingVecEnv(VecEnv):
 
     The info of an ended episode holds `terminal_observation`, the truth at its end (outcome, port, closest approach,
     ...) and `TimeLimit.truncated`, true only if the horizon ended it. `reset_infos` holds the starts. A slot whose
-    action is not finite ends with outcome "invalid_action"; wrap in `VecCheckNan` to have it raise.
+    action is not finite ends as `Outcome.INVALID_ACTION`; wrap in `VecCheckNan` to have it raise.
     `set_options({"dock_port": NAME})`, or one such dict per slot, assigns ports at the next `reset()`.
 
     Args:
@@ -92,7 +94,7 @@ class DockingVecEnv(VecEnv):
         self._actions: np.ndarray | None = None
         super().__init__(n_envs, self.batch.single_observation_space, self.batch.single_action_space)
 
-    def reset(self) -> np.ndarray:
+    def reset(self) -> Shown:
         """Start an episode in every slot, with the seeds of `seed()` and options of `set_options()` once."""
         if len(self._options) != self.num_envs:
             raise ValueError(f"set_options names {len(self._options)} options for {self.num_envs} environments")
@@ -109,7 +111,7 @@ class DockingVecEnv(VecEnv):
         """Keep the actions (n_envs, 6) for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Shown, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         """Advance by one decision: observations after any automatic reset, float32 rewards, dones, infos."""
         if self._actions is None:
             raise RuntimeError("call step_async() before step_wait()")
@@ -121,10 +123,10 @@ class DockingVecEnv(VecEnv):
             row["TimeLimit.truncated"] = False
         ended = np.flatnonzero(done)
         if ended.size:
-            last, ends, starts = info["final_obs"][ended], _rows(info["final_info"], ended), _rows(info, ended)
-            for slot, seen, end, start in zip(ended.tolist(), last, ends, starts):
-                end["TimeLimit.truncated"] = end["outcome"] == "timeout"
-                end["terminal_observation"] = seen
+            ends, starts = _rows(info["final_info"], ended), _rows(info, ended)
+            for slot, end, start in zip(ended.tolist(), ends, starts):
+                end["TimeLimit.truncated"] = bool(end["outcome"] == Outcome.TIMEOUT)
+                end["terminal_observation"] = _row(info["final_obs"], slot)
                 infos[slot], self.reset_infos[slot] = end, start
         return observation, reward.astype(np.float32), done, infos
 
@@ -190,7 +192,7 @@ class _Slot:
         seeds[self._index], ports[self._index] = seed, _dock_port(options or {})
         mask = np.arange(count) == self._index
         observation, info = self._batch.reset(seed=seeds, options={"dock_port": ports, "reset_mask": mask})
-        return observation[self._index], _rows(info, np.array([self._index]))[0]
+        return _row(observation, self._index), _rows(info, np.array([self._index]))[0]
 
     def render(self) -> np.ndarray | None:
         """The slot's state as an RGB picture, or None without a render mode."""
@@ -204,8 +206,11 @@ def _dock_port(options: Mapping[str, Any]) -> Any:
     return options.get("dock_port")
 
 
+def _row(observation: Shown, slot: int) -> Shown:
+    return each(lambda batch: batch[slot].copy(), observation)
+
+
 def _rows(info: Mapping[str, Any], slots: np.ndarray) -> list[dict[str, Any]]:
-    """The batched info of the chosen slots as a dict each, of Python scalars and arrays of their own."""
+    """The batched info of the chosen slots as a dict each, of NumPy scalars and arrays of their own."""
     picked = {n: v[slots] for n, v in info.items() if not n.startswith(("_", "final_"))}
-    columns = [values.tolist() if values.ndim == 1 else values for values in picked.values()]
-    return [dict(zip(picked, row)) for row in zip(*columns)]
+    return [dict(zip(picked, row)) for row in zip(*picked.values())]

@@ -1,7 +1,10 @@
 """The card that explains a dataset to whoever finds it."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from owm_envs.config import DockingConfig
-from owm_envs.datasets.schema import FEATURES
+from owm_envs.datasets.schema import FEATURES, features_of
 from owm_envs.episode import POLICY_NAMES
 
 _MEANING = {
@@ -17,9 +20,10 @@ _MEANING = {
     "epoch": "UTC: whole modified Julian day, seconds of day",
     "outcome": "what the episode came to: 1 docked, 2 collided, 3 escaped, 4 timeout, 5 invalid action, 6 diverged",
 }
+_PART = "a further sensor's part of the observation; with `_valid`, whether it was measured at this very instant"
 
 
-def dataset_card(config: DockingConfig, request, summary: dict) -> str:
+def dataset_card(config: DockingConfig, request, summary: dict, parts: Mapping[str, Any]) -> str:
     """Markdown with the header the Hugging Face hub reads."""
     lines = [
         "---",
@@ -57,7 +61,9 @@ def dataset_card(config: DockingConfig, request, summary: dict) -> str:
         "|---|---|---|---|",
     ]
     lines += [
-        f"| `{name}` | {FEATURES[name].width} | {FEATURES[name].dtype} | {text} |" for name, text in _MEANING.items()
+        f"| `{name}` | {'x'.join(map(str, feature.shape))} | {feature.dtype} | {_MEANING.get(name, _PART)} |"
+        for name, feature in features_of(parts).items()
+        if name in _MEANING or name not in FEATURES
     ]
     lines += [
         "",

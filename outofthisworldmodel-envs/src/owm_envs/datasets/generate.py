@@ -5,10 +5,10 @@ import json
 import math
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from owm_envs.datasets.writer import SplitWriter, write_json
 from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.files import output_folder, publish
 from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
+
+if TYPE_CHECKING:
+    from owm_envs.task.sensors import Sensor
 
 FORMAT = 1
 """Raised whenever equal requests would record other episodes."""
@@ -98,6 +101,7 @@ def generate(
     config: DockingConfig,
     request: Request,
     *,
+    sensors: "Sequence[Sensor]" = (),
     announce: Callable[[str], None] = lambda message: None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> dict:
@@ -108,6 +112,7 @@ def generate(
 
     Args:
         out: folder to make; must not exist.
+        sensors: what chasers carry beside relative navigation; each is a column `observation.NAME` more.
         announce: told in words what begins.
         progress: told how far it is.
 
@@ -122,6 +127,8 @@ def generate(
     out = output_folder(out)
     partial = out.with_name(out.name + ".partial")
     settings = {"format": FORMAT, "request": asdict(request), "environment": config.model_dump(mode="json")}
+    if sensors:
+        settings["sensors"] = [repr(sensor) for sensor in sensors]
     settings = json.loads(json.dumps(settings))
     if (finished := _marker(partial)).get("result") and {name: finished[name] for name in settings} == settings:
         publish(partial, out)  # all that was left to do when the run was killed
@@ -139,16 +146,17 @@ def generate(
     try:
         summary = {}
         writers = {}
-        recorder = _Recorder(config, request, announce, progress)
+        parts = _parts(sensors)
+        recorder = _Recorder(config, request, sensors, announce, progress)
         for split in ("train", "val"):
-            writers[split] = SplitWriter(partial / split, 1 / config.decision_dt)
+            writers[split] = SplitWriter(partial / split, 1 / config.decision_dt, parts)
             recorder.record(split, writers[split], flights[split], targets[split], least[split])
         statistics = writers["train"].statistics()
         for split, writer in writers.items():
             writer.finish(statistics)
             summary[split] = _summary(partial / split, writer)
         (partial / "config.toml").write_text(config.to_toml(), encoding="utf-8")
-        (partial / "README.md").write_text(dataset_card(config, request, summary), encoding="utf-8")
+        (partial / "README.md").write_text(dataset_card(config, request, summary, parts), encoding="utf-8")
         write_json({**settings, "policies": list(POLICY_NAMES), "result": summary}, partial / "generation.json")
     except OSError as error:
         if error.errno == errno.ENOSPC:
@@ -158,6 +166,15 @@ def generate(
         raise
     publish(partial, out)
     return summary
+
+
+def _parts(sensors: "Sequence[Sensor]") -> dict[str, Any]:
+    """Shape and dtype of what the sensors bring; JAX is started only if there are any."""
+    if not sensors:
+        return {}
+    from owm_envs.task.sensors import part_shapes
+
+    return part_shapes(sensors)
 
 
 def _marker(partial: Path) -> dict:
@@ -196,8 +213,8 @@ def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dic
 class _Recorder:
     """Flies batches of the planned flights; the simulator is built and compiled at the first one needed."""
 
-    def __init__(self, config, request, announce, progress):
-        self.config, self.request = config, request
+    def __init__(self, config, request, sensors, announce, progress):
+        self.config, self.request, self.sensors = config, request, sensors
         self.announce, self.progress = announce, progress
         self.longest = config.horizon_decisions
         # Episodes that end early are about a seventh; batches of equal size waste the fewest flights.
@@ -239,7 +256,7 @@ class _Recorder:
 
         if self._env is None:
             self.announce("compiling the simulator, once; this takes a while")
-            self._env = DockingEnv(self.config)
+            self._env = DockingEnv(self.config, sensors=self.sensors)
             names = [*BEHAVIOUR_MIX, *(["excite"] if self.request.planner_style else [])]
             self._policies = {name: make_policy(name, self._env) for name in names}
         names = list(self._policies)

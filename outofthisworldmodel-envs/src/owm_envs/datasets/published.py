@@ -47,7 +47,7 @@ def episode_from_published(columns: dict[str, np.ndarray]) -> Episode:
     target = columns["dock_target"].reshape(rows, 7)[0].astype(np.float64)
     port = int(np.argmin(np.linalg.norm(goal_poses()[:, :3] - target[:3], axis=1)))
     return Episode(
-        observation=view.astype(np.float32),
+        observation={"state": view.astype(np.float32)},
         true_state=truth.astype(np.float64) if truth.shape[1] == 13 else _relative_states(truth.astype(np.float64)),
         epoch=vector[:, :2].astype(np.float64) if has_epoch else np.zeros((rows, 2)),
         action=columns["action"].reshape(rows, 6)[:-1].astype(np.float32),

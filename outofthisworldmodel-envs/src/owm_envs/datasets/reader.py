@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
-from owm_envs.datasets.schema import FEATURES, episode_from_columns
+from owm_envs.datasets.schema import FEATURES, episode_from_columns, part_columns
 from owm_envs.datasets.statistics import Statistics
 from owm_envs.episode import Episode
 
@@ -31,7 +31,7 @@ def read(path: str | Path, split: str | None = None) -> list[Episode]:
     folder = dataset_folder(path, split)
     info = read_info(folder)
     files = _data_files(folder)
-    episodes = [episode for file in files for episode in _read_file(file)]
+    episodes = [episode for file in files for episode in _read_file(file, info.get("features") or {})]
     # An episode may span files only where another writer split it; ours never do.
     frames = sum(len(episode) + 1 for episode in episodes)
     for what, found, told in [
@@ -105,11 +105,11 @@ def _data_files(folder: Path) -> list[Path]:
     return files
 
 
-def _read_file(path: Path) -> Iterator[Episode]:
+def _read_file(path: Path, features: dict) -> Iterator[Episode]:
     try:
         names = pq.read_schema(path).names
         published = set(PUBLISHED_COLUMNS) <= set(names)
-        needed = (*PUBLISHED_COLUMNS, "episode_index") if published else _NEEDED
+        needed = (*PUBLISHED_COLUMNS, "episode_index") if published else (*_NEEDED, *part_columns(names))
         missing = [name for name in needed if name not in names]
         if missing:
             raise ValueError(f"{path} lacks the columns {', '.join(missing)}; it has {', '.join(names)}")
@@ -117,6 +117,8 @@ def _read_file(path: Path) -> Iterator[Episode]:
     except (pa.ArrowInvalid, pa.ArrowIOError, OSError) as error:
         raise ValueError(f"{path} cannot be read; it may be truncated: {error}") from None
     columns = {name: _numpy(table[name]) for name in needed}
+    for name in part_columns(columns):
+        columns[name] = columns[name].reshape(-1, *features.get(name, {}).get("shape", columns[name].shape[1:] or (1,)))
     index = columns["episode_index"].reshape(-1)
     starts = np.flatnonzero(np.diff(index, prepend=index[:1] - 1))
     make = episode_from_published if published else episode_from_columns

@@ -1,47 +1,57 @@
 """How the arrays of a recorded episode are named in files."""
 
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from owm_envs.episode import Episode
+from owm_envs.view import VIEW_NAMES, VIEW_SIZE
 
 CODEBASE_VERSION = "v3.0"
 """The LeRobot dataset format written here; every v3 is read."""
 
 
 class Feature(NamedTuple):
-    """A column: its NumPy dtype name, its width, and a name for each number."""
+    """A column: its NumPy dtype name, the shape of a row, and a name for each number."""
 
     dtype: str
-    width: int
+    shape: tuple[int, ...]
     names: list[str] | None = None
 
 
-def _view_names() -> list[str]:
-    parts = [f"{part}_{axis}" for part in ("position", "velocity") for axis in "xyz"]
-    return parts + [f"attitude_{axis}" for axis in "wxyz"] + [f"rate_{axis}" for axis in "xyz"]
-
-
 FEATURES: dict[str, Feature] = {
-    "observation.state": Feature("float32", 13, _view_names()),
-    "observation.environment_state": Feature("float64", 13, _view_names()),
-    "action": Feature("float32", 6, [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]),
-    "next.reward": Feature("float32", 1),
-    "next.done": Feature("bool", 1),
-    "next.success": Feature("bool", 1),
-    "port": Feature("int64", 1),
-    "goal_pose": Feature("float64", 7, [f"position_{a}" for a in "xyz"] + [f"attitude_{a}" for a in "wxyz"]),
-    "policy": Feature("int64", 1),
-    "epoch": Feature("float64", 2, ["mjd_day", "seconds_of_day"]),
-    "outcome": Feature("int64", 1),
-    "timestamp": Feature("float32", 1),
-    "frame_index": Feature("int64", 1),
-    "episode_index": Feature("int64", 1),
-    "index": Feature("int64", 1),
-    "task_index": Feature("int64", 1),
+    "observation.state": Feature("float32", (VIEW_SIZE,), list(VIEW_NAMES)),
+    "observation.environment_state": Feature("float64", (VIEW_SIZE,), list(VIEW_NAMES)),
+    "action": Feature("float32", (6,), [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]),
+    "next.reward": Feature("float32", (1,)),
+    "next.done": Feature("bool", (1,)),
+    "next.success": Feature("bool", (1,)),
+    "port": Feature("int64", (1,)),
+    "goal_pose": Feature("float64", (7,), [f"position_{a}" for a in "xyz"] + [f"attitude_{a}" for a in "wxyz"]),
+    "policy": Feature("int64", (1,)),
+    "epoch": Feature("float64", (2,), ["mjd_day", "seconds_of_day"]),
+    "outcome": Feature("int64", (1,)),
+    "timestamp": Feature("float32", (1,)),
+    "frame_index": Feature("int64", (1,)),
+    "episode_index": Feature("int64", (1,)),
+    "index": Feature("int64", (1,)),
+    "task_index": Feature("int64", (1,)),
 }
-"""Columns of the files, in order; the last five are LeRobot's own."""
+"""Columns that every file has, in order; the last five are LeRobot's own."""
+OBSERVATION = "observation."
+"""How the column of a part of the observation begins."""
+
+
+def features_of(parts: Mapping[str, Any]) -> dict[str, Feature]:
+    """The columns of episodes with these parts of the observation, each of a `shape` and `dtype`, by their names."""
+    named = {OBSERVATION + name: Feature(np.dtype(part.dtype).name, tuple(part.shape)) for name, part in parts.items()}
+    return FEATURES | {name: feature for name, feature in named.items() if name not in FEATURES}
+
+
+def part_columns(names: Iterable[str]) -> list[str]:
+    """The columns among these that are parts of the observation, beside those that every file has."""
+    return [name for name in names if name.startswith(OBSERVATION) and name not in FEATURES]
 
 
 def columns_from_episode(
@@ -60,7 +70,6 @@ def columns_from_episode(
         return np.repeat(np.asarray(value, dtype)[None], rows, axis=0)
 
     columns = {
-        "observation.state": episode.observation,
         "observation.environment_state": episode.true_state,
         "action": padded(episode.action),
         "next.reward": padded(episode.reward),
@@ -77,13 +86,17 @@ def columns_from_episode(
         "index": first_index + np.arange(rows),
         "task_index": repeated(episode.port, np.int64),
     }
-    return {name: columns[name].astype(feature.dtype) for name, feature in FEATURES.items()}
+    columns |= {OBSERVATION + name: values for name, values in episode.observation.items()}
+    typed = {name: columns.pop(name).astype(feature.dtype) for name, feature in FEATURES.items()}
+    return typed | columns
 
 
 def episode_from_columns(columns: dict[str, np.ndarray]) -> Episode:
     """The episode whose rows these are: the inverse of `columns_from_episode`."""
     return Episode(
-        observation=columns["observation.state"],
+        observation={
+            name.removeprefix(OBSERVATION): columns[name] for name in ("observation.state", *part_columns(columns))
+        },
         true_state=columns["observation.environment_state"],
         epoch=columns["epoch"],
         action=columns["action"][:-1],

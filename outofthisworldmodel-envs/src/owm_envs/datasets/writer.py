@@ -1,14 +1,15 @@
 """Write one split as a LeRobot v3 dataset: a data file and an episode file for each batch, metadata at the end."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, columns_from_episode
+from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, columns_from_episode, features_of
 from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
 from owm_envs.episode import Episode
 from owm_envs.files import write_atomically
@@ -28,11 +29,13 @@ class SplitWriter:
     Args:
         folder: of the split; made if absent.
         fps: decisions a second.
+        parts: what episodes observe beside the state part, each of a `shape` and `dtype`, by their names.
     """
 
-    def __init__(self, folder: Path, fps: float):
+    def __init__(self, folder: Path, fps: float, parts: Mapping[str, Any] | None = None):
         self.folder = Path(folder)
         self.fps = int(fps) if float(fps).is_integer() else float(fps)
+        self._features = features_of(parts or {})
         self.batches = 0
         self.episodes = 0
         self.frames = 0
@@ -95,8 +98,8 @@ class SplitWriter:
             meta / "stats.json",
         )
         features = {
-            name: {"dtype": feature.dtype, "shape": [feature.width], "names": feature.names}
-            for name, feature in FEATURES.items()
+            name: {"dtype": feature.dtype, "shape": list(feature.shape), "names": feature.names}
+            for name, feature in self._features.items()
         }
         write_json(
             {
@@ -142,15 +145,18 @@ def write_json(value: dict, path: Path) -> None:
 
 def _write_parquet(table: pa.Table, path: Path) -> None:
     # Measured numbers do not repeat: dictionaries would only cost time.
-    repeating = [name for name, feature in FEATURES.items() if feature.width == 1 and name in table.column_names]
+    repeating = [name for name, feature in FEATURES.items() if feature.shape == (1,) and name in table.column_names]
     options = {"compression": "zstd", "compression_level": 1, "use_dictionary": repeating}
     write_atomically(path, lambda file: pq.write_table(table, file, **options))
 
 
 def _arrow(values: np.ndarray) -> pa.Array:
-    if values.ndim == 1:
-        return pa.array(values)
-    return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), values.shape[1])
+    if values.ndim == 1 or values.shape[1:] == (1,):
+        return pa.array(values.reshape(-1))
+    array = pa.array(np.ascontiguousarray(values).ravel())
+    for size in reversed(values.shape[1:]):
+        array = pa.FixedSizeListArray.from_arrays(array, size)
+    return array
 
 
 def _task_table() -> pa.Table:

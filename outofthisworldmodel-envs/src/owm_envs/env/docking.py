@@ -1,11 +1,11 @@
 """The docking task as a pure environment: `reset` and `step` over one fidelity's equations of motion."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Shaped
 
 from astrojax.compilation import all_of, stored, summed
 from astrojax.time import mjd_from_calendar, normalize_epoch
@@ -15,12 +15,14 @@ from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamic
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import Room, advance_room, room_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
+from owm_envs.task.navigation import RelativeNavigation, advance_bias, goal_error, start_bias
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.randomization import Drawn, draw, episode_params
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.selected import apply_where
-from owm_envs.task.sensors import advance_bias, goal_error, measure, start_bias
+from owm_envs.task.sensors import STATE, Sensor, Truth, blank, part_shapes, require_sensors, sense
+from owm_envs.view import View
 
 _BEYOND_REASON = 1e9
 """No number of a relative view comes near it (SI units), and float32 still squares it."""
@@ -39,7 +41,8 @@ class EnvState(NamedTuple):
     """True relative view, its quaternion continuous along the episode."""
     error: Float[Array, "12"]
     """Of the true relative view to the goal, as `goal_error` gives it."""
-    measured: Float[Array, "13"]
+    measured: dict[str, Shaped[Array, "..."]]
+    """What each sensor shows, by its name; relative navigation's is the view (13,), SI units."""
     port: Int[Array, ""]
     count: Int[Array, ""]
     """Actions taken."""
@@ -64,7 +67,8 @@ class EnvState(NamedTuple):
 class StepResult(NamedTuple):
     """What a step returns beside the state."""
 
-    observation: Float[Array, "O"]
+    observation: dict[str, Shaped[Array, "..."]]
+    """Parts by name."""
     reward: Float[Array, ""]
     terminated: Bool[Array, ""]
     truncated: Bool[Array, ""]
@@ -86,11 +90,12 @@ class DockingEnv:
         config: as `load_config` takes it.
         dynamics: equations of motion of your own in place of the fidelity's, a hashable `Dynamics` (a frozen
             dataclass is); check them with `owm_envs.testing.check_env`.
+        sensors: what the chaser carries beside relative navigation: each `Sensor` is a part of the observation.
         overrides: fields of `DockingConfig`.
 
     Raises:
         ValueError: an unknown or out-of-bounds field, naming it.
-        TypeError: `dynamics` is not a hashable `Dynamics`, naming what it lacks.
+        TypeError: `dynamics` is not a hashable `Dynamics`, or a sensor not a hashable `Sensor`, naming what it lacks.
     """
 
     def __init__(
@@ -98,6 +103,7 @@ class DockingEnv:
         config: DockingConfig | Mapping[str, Any] | str | None = None,
         *,
         dynamics: Dynamics | None = None,
+        sensors: Sequence[Sensor] = (),
         **overrides: Any,
     ):
         self.config = load_config(config, **overrides)
@@ -105,6 +111,7 @@ class DockingEnv:
         if dynamics is not None:
             require_dynamics(dynamics)
         self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
+        self.sensors = require_sensors([RelativeNavigation(self.config.precision), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -115,10 +122,28 @@ class DockingEnv:
         )
 
     def __eq__(self, other: object) -> bool:
-        return type(other) is type(self) and (other.structure, other.dynamics) == (self.structure, self.dynamics)
+        return type(other) is type(self) and other._program_key == self._program_key
 
     def __hash__(self) -> int:
-        return hash((self.structure, self.dynamics))
+        return hash(self._program_key)
+
+    @property
+    def _program_key(self):
+        return self.structure, self.dynamics, self.sensors
+
+    @property
+    def name(self) -> str:
+        """The fidelity, or the class of dynamics of one's own."""
+        return (
+            self.config.fidelity
+            if DYNAMICS[self.config.fidelity](self.config) == self.dynamics
+            else type(self.dynamics).__name__
+        )
+
+    @property
+    def observation_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
+        """Shape and dtype of each part of an observation, by its name."""
+        return {**part_shapes(self.sensors), STATE: jax.ShapeDtypeStruct((self.layout.size,), jnp.float32)}
 
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
@@ -126,8 +151,8 @@ class DockingEnv:
 
     def reset(
         self, params: Params, *, key: Key[Array, ""], port: int | Int[Array, ""] = -1
-    ) -> tuple[EnvState, Float[Array, "O"]]:
-        """Start an episode.
+    ) -> tuple[EnvState, dict[str, Array]]:
+        """Start an episode: its state, and the parts of its first observation.
 
         Args:
             key: decides the whole episode, noise included, and the key of the next one.
@@ -165,7 +190,7 @@ class DockingEnv:
             physics=physics,
             view=start.view,
             error=error,
-            measured=start.view,
+            measured=blank(self.sensors),
             port=start.port,
             count=jnp.zeros((), jnp.int32),
             outcome=jnp.asarray(Outcome.RUNNING, jnp.int32),
@@ -225,18 +250,18 @@ class DockingEnv:
             wrench: the command held, N and N m.
             touched: whether any of them touched something.
         """
-        params = episode_params(params, state.drawn)
+        own = episode_params(params, state.drawn)
         was_running = state.outcome == Outcome.RUNNING
         count = state.count + was_running
-        late = (ended.outcome == Outcome.RUNNING) & (count >= params.horizon_steps)
+        late = (ended.outcome == Outcome.RUNNING) & (count >= own.horizon_steps)
         ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
         if state.bias is not None:
             key = self._bias_key(state.noise_key, count)
-            lapse = params.dt * self.structure.steps_per_action
-            bias = advance_bias(state.bias, params.noise.bias.correlation_time, lapse, key=key)
+            lapse = own.dt * self.structure.steps_per_action
+            bias = advance_bias(state.bias, own.noise.bias.correlation_time, lapse, key=key)
             ended = ended._replace(bias=jnp.where(was_running, bias, state.bias))
         earned = reward(
-            params,
+            own,
             error_norms(ended.error),
             safe_norm(state.error[:3]),
             wrench,
@@ -271,7 +296,7 @@ class DockingEnv:
         goal = params.goals[state.port]
         return {
             "true_state": state.view,
-            "measured_state": state.measured,
+            "measured_state": state.measured[STATE],
             "goal_pose": goal,
             "true_goal_error": state.error,
             "epoch": self._epoch(state),
@@ -329,21 +354,35 @@ class DockingEnv:
         epoch = state.physics.epoch
         return jnp.stack(normalize_epoch(epoch[0], epoch[1] + state.physics.elapsed))
 
-    def observe(self, params: Params, state: EnvState) -> tuple[EnvState, Float[Array, "O"]]:
-        """Measure: the state with its measurement, and the observation."""
-        measured = measure(params.noise, state.view, state.bias, key=state.noise_key, count=state.count)
+    def observe(self, params: Params, state: EnvState) -> tuple[EnvState, dict[str, Array]]:
+        """Measure: the state with what its sensors show, and the parts of the observation."""
+        epoch = self._epoch(state)
+        truth = Truth(
+            params=episode_params(params, state.drawn),
+            view=View.of(state.view),
+            epoch=epoch,
+            port=state.port,
+            count=state.count,
+            physics=state.physics,
+            bias=state.bias,
+            stream=state.noise_key,
+        )
+        key = jax.random.fold_in(named_key(state.noise_key, "sensors"), state.count)
+        measured = sense(self.sensors, state.measured, truth, key=key)
         # Of the measurement as it is shown, in float32.
-        error = goal_error(measured.astype(jnp.float32), params.goals[state.port].astype(jnp.float32))
-        return state._replace(measured=measured), self.layout.observe(self._epoch(state), measured, error)
+        view = measured[STATE]
+        error = goal_error(view.astype(jnp.float32), params.goals[state.port].astype(jnp.float32))
+        shown = self.layout.observe(epoch, view, error)
+        return state._replace(measured=measured), {**measured, STATE: shown}
 
 
 def restart_where(
-    env: DockingEnv, params: Params, due: Bool[Array, "B"], state: EnvState, observation: Float[Array, "B O"]
-) -> tuple[EnvState, Float[Array, "B O"]]:
+    env: DockingEnv, params: Params, due: Bool[Array, "B"], state: EnvState, observation: dict[str, Array]
+) -> tuple[EnvState, dict[str, Array]]:
     """Start the next episode in the slots of `due`; in a compiled loop, at a cost for those alone.
 
     Args:
         state: of a batch, leading axis B.
-        observation: kept in the other slots.
+        observation: of the batch; kept in the other slots.
     """
     return apply_where(due, lambda key: env.reset(params, key=key), (state, observation), state.next_key)

@@ -16,8 +16,9 @@ from owm_envs.dynamics import PhysicalState
 from owm_envs.env.docking import DockingEnv, EnvState, StepResult, is_sound
 from owm_envs.task.events import Outcome, safe_norm
 from owm_envs.task.noise_stream import standard_normal
-from owm_envs.task.observation import VIEW_SCALE, ObservationLayout
+from owm_envs.task.observation import VIEW_SCALE, Observation, ObservationLayout, part
 from owm_envs.task.reset import Start, named_key, sample_start
+from owm_envs.task.sensors import STATE
 from owm_envs.task.separation import swept_separation
 
 START_CANDIDATES = 16
@@ -45,7 +46,7 @@ class FleetState(NamedTuple):
 
 @dataclass(frozen=True)
 class FleetLayout:
-    """The observation of one chaser: what `DockingEnv` shows it, then each other chaser in the order of their indices.
+    """The state part of one chaser's observation: that of `DockingEnv`, then each other chaser in order of their indices.
 
     The others' part is [position 3 m, velocity 3 m/s] of the other minus one's own, station frame, as measured; with
     `normalize`, divided by the first six of `VIEW_SCALE`. One that has ended its episode stays where it is, at rest.
@@ -57,7 +58,7 @@ class FleetLayout:
 
     @property
     def size(self) -> int:
-        """Length of the observation vector."""
+        """Length of the state part."""
         return self.own.size + 6 * self.num_others
 
     @property
@@ -66,9 +67,10 @@ class FleetLayout:
         parts = [f"{part}_{a}" for part in ("position", "velocity") for a in "xyz"]
         return self.own.names + tuple(f"other_{k}_{name}" for k in range(self.num_others) for name in parts)
 
-    def others(self, observation: Float[Array, "... O"]) -> Float[Array, "... K 6"]:
+    def others(self, observation: Observation) -> Float[Array, "... K 6"]:
         """Measured relative positions m and velocities m/s of the others, SI units; NumPy in, NumPy out."""
-        seen = observation[..., self.own.size :].reshape(*observation.shape[:-1], self.num_others, 6)
+        state = part(observation, STATE)
+        seen = state[..., self.own.size :].reshape(*state.shape[:-1], self.num_others, 6)
         return seen * VIEW_SCALE[:6].astype(seen.dtype) if self.own.normalize else seen
 
 
@@ -88,8 +90,9 @@ class FleetEnv:
 
     Args:
         num_chasers: N, at most the number of configured ports.
-        config, overrides: as for `DockingEnv`.
+        config: as for `DockingEnv`.
         observe_others: whether a chaser measures where the others are; see `FleetLayout`.
+        overrides: fields of `DockingConfig`, and what else `DockingEnv` takes.
 
     Raises:
         ValueError: more chasers than ports, a port configured twice, or as `DockingEnv`.
@@ -114,14 +117,19 @@ class FleetEnv:
         self.layout = FleetLayout(self.docking.layout, (num_chasers - 1) * observe_others)
         self._axes = _chaser_axes(self.config)
 
+    @property
+    def observation_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
+        """Shape and dtype of each part of one chaser's observation, by its name."""
+        return {**self.docking.observation_parts, STATE: jax.ShapeDtypeStruct((self.layout.size,), jnp.float32)}
+
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
         return self.docking.default_params()
 
     def reset(
         self, params: Params, *, key: Key[Array, ""], ports: Int[Array, "N"] | None = None
-    ) -> tuple[FleetState, Float[Array, "N O"]]:
-        """Start an episode.
+    ) -> tuple[FleetState, dict[str, Array]]:
+        """Start an episode: its state, and the parts of each chaser's first observation, with a leading axis N.
 
         Args:
             key: decides the whole episode, noise included, and the key of the next one.
@@ -229,7 +237,8 @@ class FleetEnv:
         view = jax.vmap(look)(chasers.noise_key, chasers.count, relative)
         if self.config.normalize:
             view = view / jnp.asarray(VIEW_SCALE[:6], view.dtype)
-        return jnp.concatenate([own, view.reshape(self.num_chasers, -1).astype(own.dtype)], axis=1)
+        view = view.reshape(self.num_chasers, -1).astype(jnp.float32)
+        return {**own, STATE: jnp.concatenate([own[STATE], view], axis=1)}
 
 
 def assign_ports(choices: Int[Array, "C"], ports: Int[Array, "N"], *, key: Key[Array, ""]) -> Int[Array, "N"]:

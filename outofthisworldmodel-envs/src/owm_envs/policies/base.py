@@ -8,7 +8,8 @@ from jaxtyping import Array, Float, Int, Key
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
 from owm_envs.station import goal_poses
 from owm_envs.task.events import safe_norm
-from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.observation import Observation, ObservationLayout
+from owm_envs.view import View
 
 POSITION_GAIN = 16.0
 """N/m. Source: behaviour policies of the paper's data generation, as the next three."""
@@ -30,7 +31,7 @@ class ScriptedPolicy(Protocol):
     def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> Any:
         """The state in which an episode to dock at `port` begins."""
 
-    def act(self, state: Any, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Any]:
+    def act(self, state: Any, observation: Observation) -> tuple[Float[Array, "6"], Any]:
         """The action for an observation, both in the environment's own layout, and the next state."""
 
 
@@ -44,19 +45,9 @@ class Vehicle(NamedTuple):
     decision_dt: float
 
 
-class View(NamedTuple):
-    """A measured relative view in parts: m, m/s (station frame), quaternion body to station, rad/s (body)."""
-
-    position: Float[Array, "3"]
-    velocity: Float[Array, "3"]
-    attitude: Float[Array, "4"]
-    rate: Float[Array, "3"]
-
-
-def read_view(layout: ObservationLayout, observation: Float[Array, "O"]) -> View:
-    """The relative view in an observation."""
-    view = layout.measured_view(observation)
-    return View(view[:3], view[3:6], view[6:10], view[10:13])
+def read_view(layout: ObservationLayout, observation: Observation) -> View:
+    """The measured relative view in an observation."""
+    return View.of(layout.measured_view(observation))
 
 
 def limit_norm(vector: Float[Array, "3"], limit: Float[Array, ""] | float) -> Float[Array, "3"]:

@@ -22,8 +22,9 @@ from owm_envs.policies.base import (
     wrench_limits,
 )
 from owm_envs.task.events import safe_norm
-from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.observation import ObservationLayout, part
 from owm_envs.task.reset import named_key
+from owm_envs.task.sensors import STATE
 
 _STATIC = {"static": True}
 
@@ -44,9 +45,8 @@ class RandomPolicy:
     def act(self, state, observation):
         """Draw an action."""
         next_key, key = jax.random.split(state)
-        wrench = jax.random.uniform(key, (6,), observation.dtype, -1, 1) * wrench_limits(
-            self.vehicle, observation.dtype
-        )
+        dtype = part(observation, STATE).dtype
+        wrench = jax.random.uniform(key, (6,), dtype, -1, 1) * wrench_limits(self.vehicle, dtype)
         return self.layout.action(wrench), next_key
 
 
@@ -86,7 +86,7 @@ class ExcitePolicy:
     def act(self, state, observation):
         """Hold, or draw anew."""
         view = read_view(self.layout, observation)
-        dtype = observation.dtype
+        dtype = view.position.dtype
         next_key, key = jax.random.split(state.key)
         drawn = jax.random.uniform(key, (6,), dtype, -1, 1) * state.scale * wrench_limits(self.vehicle, dtype)
         inertia = jnp.asarray(self.vehicle.inertia, dtype)
@@ -177,7 +177,7 @@ class DockPolicy:
     def act(self, state, observation):
         """Pull towards the hold pose."""
         view = read_view(self.layout, observation)
-        position, attitude = goal_of(state, observation.dtype)
+        position, attitude = goal_of(state, view.position.dtype)
         force = pd_force(view, position, 0.0, mass=self.vehicle.mass)
         torque = pd_torque(view, attitude_error(view, attitude), 0.0, inertia=self.vehicle.inertia)
         return self.layout.action(jnp.concatenate([force, torque])), state

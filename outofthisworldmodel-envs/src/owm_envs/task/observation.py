@@ -1,19 +1,31 @@
-"""How measurements are laid out as one vector, and how a user's action becomes a wrench."""
+"""How the state part of an observation is laid out as one vector, and how a user's action becomes a wrench."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Shaped
+
+from owm_envs.task.sensors import STATE
+from owm_envs.view import VIEW_NAMES, VIEW_SIZE
 
 EPOCH_SCALE = np.array([7.0, 86_400.0])
 VIEW_SCALE = np.array([225.0] * 3 + [5.0] * 3 + [1.0] * 4 + [0.05] * 3)
 ERROR_SCALE = np.array([225.0] * 3 + [5.0] * 3 + [np.pi] * 3 + [0.05] * 3)
 
+Observation = Mapping[str, Shaped[Array, "..."]] | Float[Array, "... O"]
+"""Parts by name, or the state part alone, as adapters give it where there is no other."""
+
+
+def part(observation: Observation, name: str) -> Array:
+    """One part of an observation. Raises KeyError if it has none of that name."""
+    return observation[name] if isinstance(observation, Mapping) else {STATE: observation}[name]
+
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """The observation vector: [epoch 2] + relative view 13 + [goal error 12], and the action beside it.
+    """The state part of an observation: [epoch 2] + relative view 13 + [goal error 12]; and the action beside it.
 
     With `normalize`, the epoch is an offset from `reference_day` in weeks and days, the rest is divided by
     `VIEW_SCALE` and `ERROR_SCALE`, and actions are fractions of the wrench limits.
@@ -27,27 +39,24 @@ class ObservationLayout:
 
     @property
     def size(self) -> int:
-        """Length of the observation vector."""
-        return 13 + 2 * self.has_epoch + 12 * self.has_goal_error
+        """Length of the state part."""
+        return VIEW_SIZE + 2 * self.has_epoch + 12 * self.has_goal_error
 
     @property
     def view(self) -> slice:
-        """Where the measured relative view stands."""
+        """Where in the state part the measured relative view stands."""
         start = 2 * self.has_epoch
-        return slice(start, start + 13)
+        return slice(start, start + VIEW_SIZE)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """A name for each number."""
-        axes = "xyz"
-        view = [f"{part}_{a}" for part in ("position", "velocity") for a in axes]
-        view += [f"attitude_{a}" for a in "wxyz"] + [f"rate_{a}" for a in axes]
-        error = [f"goal_{part}_{a}" for part in ("position", "velocity", "attitude", "rate") for a in axes]
-        epoch = ["epoch_mjd_day", "epoch_seconds"]
-        return tuple(epoch * self.has_epoch + view + error * self.has_goal_error)
+        """A name for each number of the state part."""
+        error = tuple(f"goal_{part}_{a}" for part in ("position", "velocity", "attitude", "rate") for a in "xyz")
+        epoch = ("epoch_mjd_day", "epoch_seconds")
+        return epoch * self.has_epoch + VIEW_NAMES + error * self.has_goal_error
 
     def observe(self, epoch: Float[Array, "2"], measured: Float[Array, "13"], error: Float[Array, "12"]) -> Array:
-        """The float32 observation vector (`size`,)."""
+        """The float32 state part (`size`,)."""
         parts = []
         if self.has_epoch:
             shifted = epoch - jnp.asarray([self.reference_day, 0.0], epoch.dtype)
@@ -57,14 +66,14 @@ class ObservationLayout:
             parts.append(error / jnp.asarray(ERROR_SCALE, error.dtype) if self.normalize else error)
         return jnp.concatenate(parts).astype(jnp.float32)
 
-    def measured_view(self, observation: Float[Array, "... O"]) -> Float[Array, "... 13"]:
+    def measured_view(self, observation: Observation) -> Float[Array, "... 13"]:
         """The measured relative view of an observation in SI units; NumPy in, NumPy out."""
-        view = observation[..., self.view]
+        view = part(observation, STATE)[..., self.view]
         return view * VIEW_SCALE.astype(view.dtype) if self.normalize else view
 
-    def measured_epoch(self, observation: Float[Array, "... O"]) -> Float[Array, "... 2"]:
+    def measured_epoch(self, observation: Observation) -> Float[Array, "... 2"]:
         """The epoch [MJD day, s of day] of an observation that has one."""
-        epoch = observation[..., :2]
+        epoch = part(observation, STATE)[..., :2]
         if not self.normalize:
             return epoch
         return epoch * EPOCH_SCALE.astype(epoch.dtype) + np.array([self.reference_day, 0], epoch.dtype)

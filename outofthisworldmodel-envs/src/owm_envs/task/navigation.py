@@ -1,0 +1,115 @@
+"""Relative navigation: what the chaser measures of its true relative view, and its error to the goal."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from astrojax.attitude import (
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_to_rotation_vector,
+)
+from astrojax.compilation import stored
+from owm_envs.config.params import NoiseParams
+from owm_envs.task.events import safe_norm
+from owm_envs.task.noise_stream import standard_normal
+from owm_envs.task.sensors import STATE, Truth
+from owm_envs.view import VIEW_SIZE, View
+
+
+@dataclass(frozen=True)
+class RelativeNavigation:
+    """The sensor that every chaser has: its relative view, m, m/s, quaternion and rad/s, with the configured errors."""
+
+    dtype: str
+    """The environment's precision."""
+    name: ClassVar[str] = STATE
+    shape: ClassVar[tuple[int, ...]] = (VIEW_SIZE,)
+    every: ClassVar[int] = 1
+    may_miss: ClassVar[bool] = False
+
+    def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "13"]:
+        """The measured view; its errors come from `truth.stream`, not from `key`."""
+        return measure(truth.params.noise, truth.view, truth.bias, key=truth.stream, count=truth.count)
+
+
+def start_bias(dtype, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
+    """A time-correlated error of unit variance per axis at the start of an episode: already stationary."""
+    return jax.random.normal(key, (4, 3), jnp.float32).astype(dtype)
+
+
+def advance_bias(
+    bias: Float[Array, "4 3"], correlation_time: Float[Array, ""], dt: Float[Array, ""], *, key: Key[Array, ""]
+) -> Float[Array, "4 3"]:
+    """The time-correlated error `dt` seconds later: exact for a first-order Gauss-Markov process at any step.
+
+    Source: Gelb, Applied Optimal Estimation (1974), sec. 3.6 and 3.8.
+    """
+    lapse = dt / correlation_time
+    fresh = -jnp.expm1(-2 * lapse)
+    moving = fresh > 0
+    spread = jnp.where(moving, jnp.sqrt(jnp.where(moving, fresh, 1)), 0)
+    return jnp.exp(-lapse) * bias + spread * start_bias(bias.dtype, key=key)
+
+
+def measure(
+    noise: NoiseParams,
+    view: View,
+    bias: Float[Array, "4 3"] | None = None,
+    *,
+    key: Key[Array, ""],
+    count: Int[Array, ""] | int = 0,
+) -> Float[Array, "13"]:
+    """Corrupt a true relative view by isotropic Gaussian errors of the given total root-mean-square sizes.
+
+    The attitude error is a rotation in body axes. Source: paper, table of sensor noise models.
+
+    Args:
+        bias: time-correlated error of unit variance per axis: position, velocity, attitude, rate; none when None.
+        key, count: which error of which stream, as for `standard_normal`.
+    """
+    total = jnp.stack(
+        [
+            noise.position + noise.position_per_range * safe_norm(view.position),
+            noise.velocity,
+            noise.attitude,
+            noise.rate,
+        ]
+    )
+    # Seven digits are plenty for an error, its rotation too.
+    errors = _per_axis(total)[:, None].astype(jnp.float32) * standard_normal(key, count, 12, jnp.float32).reshape(4, 3)
+    if bias is not None:
+        errors = errors + (_per_axis(jnp.stack(noise.bias[:4]))[:, None] * bias).astype(jnp.float32)
+    dtype = view.position.dtype
+    turn = quat_from_rotation_vector(errors[2]).astype(dtype)
+    errors = stored(errors.astype(dtype))
+    return stored(
+        jnp.concatenate(
+            [
+                view.position + errors[0],
+                view.velocity + errors[1],
+                quat_multiply(view.attitude, turn),
+                view.rate + errors[3],
+            ]
+        )
+    )
+
+
+def _per_axis(total: Float[Array, "4"]) -> Float[Array, "4"]:
+    return total / jnp.sqrt(jnp.asarray(3, total.dtype))
+
+
+def goal_error(view: Float[Array, "13"], goal: Float[Array, "7"]) -> Float[Array, "12"]:
+    """Error of a relative view to a hold pose at rest.
+
+    Returns:
+        Position m and velocity m/s (view minus goal, station frame), rotation vector rad from the view's to the
+        goal's attitude (body axes, shortest turn whatever the quaternions' signs), body rate rad/s.
+    """
+    view = View.of(view)
+    turn = quat_to_rotation_vector(quat_multiply(quat_conjugate(view.attitude), goal[3:]))
+    return jnp.concatenate([view.position - goal[:3], view.velocity, turn, view.rate])
