@@ -25,6 +25,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from astrojax.attitude import quat_conjugate, quat_rotate
 from owm_envs.env import DockingEnv, EnvState
 from owm_envs.task.events import Outcome
+from owm_envs.view import View
 
 EASIER = {
     "ports": ["zvezda_aft"],
@@ -106,11 +107,12 @@ def log_density(mean: jax.Array, log_std: jax.Array, action: jax.Array) -> jax.A
     return jnp.sum(-0.5 * ((action - mean) / jnp.exp(log_std)) ** 2 - log_std - 0.5 * np.log(2 * np.pi), axis=-1)
 
 
-def features(env: DockingEnv, observation: jax.Array) -> jax.Array:
+def features(env: DockingEnv, observation: dict[str, jax.Array]) -> jax.Array:
     """The observation and its position and velocity errors in the chaser's axes, where the thrusters push."""
-    to_body = quat_conjugate(observation[env.layout.view][6:10])
-    position, velocity = observation[-12:-9], observation[-9:-6]
-    return jnp.concatenate([observation, quat_rotate(to_body, position), quat_rotate(to_body, velocity)])
+    state = observation["state"]
+    to_body = quat_conjugate(View.of(state[env.layout.view]).attitude)
+    position, velocity = state[-12:-9], state[-9:-6]
+    return jnp.concatenate([state, quat_rotate(to_body, position), quat_rotate(to_body, velocity)])
 
 
 def start(env: DockingEnv, params, key: jax.Array) -> tuple[EnvState, jax.Array]:

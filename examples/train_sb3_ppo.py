@@ -21,6 +21,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecMonitor, VecNormalize
 
 from owm_envs.sb3 import make_vec_env
+from owm_envs.view import View
 
 EASIER = {
     "ports": ["zvezda_aft"],
@@ -39,7 +40,7 @@ class BodyAxes(VecEnvWrapper):
         super().__init__(venv, observation_space=spaces.Box(-np.inf, np.inf, (size,), np.float32))
 
     def extend(self, observation: np.ndarray) -> np.ndarray:
-        w, axis = np.split(observation[..., self.layout.view][..., 6:10] * [1, -1, -1, -1], [1], axis=-1)
+        w, axis = np.split(View.of(observation[..., self.layout.view]).attitude * [1, -1, -1, -1], [1], axis=-1)
         turned = []
         for error in (observation[..., -12:-9], observation[..., -9:-6]):
             once = 2 * np.cross(axis, error)
@@ -88,7 +89,7 @@ def evaluate(venv: VecNormalize, act) -> dict[str, float]:
         "return": float(np.mean([row["episode"]["r"] for row in rows])),
         "closest": float(np.median([row["closest_distance"] for row in rows])),
         "final": float(np.median([np.linalg.norm(row["true_goal_error"][:3]) for row in rows])),
-        "docked": float(np.mean([row["outcome"] == "docked" for row in rows])),
+        "docked": float(np.mean([row["is_success"] for row in rows])),
         "touched the hull": float(np.mean([row["collided"] for row in rows])),
     }
 

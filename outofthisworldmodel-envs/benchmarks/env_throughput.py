@@ -60,7 +60,7 @@ class Loop:
                 state, result = jax.vmap(env.step, (None, 0, 0))(params, state, action)
                 due = result.terminated | result.truncated
                 state, observation = restart_where(env, params, due, state, result.observation)
-                return state, (jnp.sum(observation), jnp.sum(result.reward))
+                return state, (jnp.sum(observation["state"]), jnp.sum(result.reward))
 
             def loop(state, action):
                 one = physics if kind == "physics" else full

@@ -33,7 +33,7 @@ def measure(fidelity: str, per_station: int, seen: bool, chasers: int, seconds: 
     def rollout(params, states):
         def step(states, _):
             states, result = jax.vmap(env.step, (None, 0, 0))(params, states, actions)
-            return states, jnp.sum(result.reward) + jnp.sum(result.observation)
+            return states, jnp.sum(result.reward) + jnp.sum(result.observation["state"])
 
         return jax.lax.scan(step, states, length=STEPS)
 

@@ -11,6 +11,8 @@ import pytest
 from owm_envs.adapters import batch
 from owm_envs.adapters.gymnasium import DockingGymEnv, DockingVectorEnv
 from owm_envs.adapters.packing import Packing
+from owm_envs.station import PORT_NAMES
+from owm_envs.task.events import Outcome
 
 SHORT = {"fidelity": "iss", "noise": "cooperative", "horizon": 0.2}  # four steps an episode
 SLOTS = 6
@@ -42,7 +44,7 @@ def test_slots_of_a_cut_batch_equal_scalar_environments(in_two):
             assert infos.get("_final_obs", np.zeros(SLOTS, bool))[slot] == done
             if done:
                 np.testing.assert_allclose(infos["final_obs"][slot], observation, rtol=1e-6, atol=1e-6)
-                assert infos["final_info"]["outcome"][slot] == info["outcome"] == "timeout"
+                assert infos["final_info"]["outcome"][slot] == info["outcome"] == Outcome.TIMEOUT
                 np.testing.assert_allclose(infos["final_info"]["true_state"][slot], info["true_state"], atol=1e-9)
                 observation, info = scalar.reset()
             np.testing.assert_allclose(observations[slot], observation, rtol=1e-6, atol=1e-6)
@@ -60,7 +62,10 @@ def test_an_end_in_one_piece_only(in_two):
     ended = np.arange(SLOTS) == 4
     np.testing.assert_array_equal(truncated, ended)
     np.testing.assert_array_equal(info["_final_obs"], ended)
-    assert info["final_info"]["outcome"][4] == "invalid_action" and list(info["outcome"]) == ["running"] * SLOTS
+    assert (
+        info["final_info"]["outcome"][4] == Outcome.INVALID_ACTION
+        and list(info["outcome"]) == [Outcome.RUNNING] * SLOTS
+    )
     changed = (observation != info["final_obs"]).any(axis=1)
     np.testing.assert_array_equal(changed, ended)
     assert "final_obs" not in env.step(ACTIONS[1])[-1]
@@ -74,7 +79,7 @@ def test_a_mask_and_seeds_reach_across_pieces(in_two):
     ports = [None, "zvezda_aft", None, None, None, "unity_nadir"]
     observation, info = env.reset(seed=[None] * 5 + [3], options={"reset_mask": mask, "dock_port": ports})
     np.testing.assert_array_equal(observation[~mask], before[~mask])
-    assert list(info["port"][mask]) == ["zvezda_aft", "unity_nadir"]
+    assert [PORT_NAMES[port] for port in info["port"][mask]] == ["zvezda_aft", "unity_nadir"]
     scalar = DockingGymEnv(**SHORT)
     expected = scalar.reset(seed=3, options={"dock_port": "unity_nadir"})[0]
     np.testing.assert_allclose(observation[5], expected, rtol=1e-6, atol=1e-6)

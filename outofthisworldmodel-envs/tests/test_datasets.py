@@ -22,14 +22,16 @@ from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS, goal_poses
 from owm_envs.task.events import Outcome
 
-ARRAYS = ("observation", "true_state", "epoch", "action", "reward", "done", "success", "goal_pose")
+ARRAYS = ("true_state", "epoch", "action", "reward", "done", "success", "goal_pose")
 CONFIG = load_config(fidelity="iss", noise="cooperative", horizon=4.0, ports=["zvezda_aft", "unity_nadir"])
 REQUEST = Request(transitions=3000, val_transitions=100, seed=7, episodes_per_batch=2)
 
 
 def assert_same(episode: Episode, other: Episode) -> None:
-    for name in ARRAYS:
-        one, two = getattr(episode, name), getattr(other, name)
+    pairs = {name: (getattr(episode, name), getattr(other, name)) for name in ARRAYS}
+    assert episode.observation.keys() == other.observation.keys()
+    pairs |= {name: (value, other.observation[name]) for name, value in episode.observation.items()}
+    for name, (one, two) in pairs.items():
         assert one.dtype == two.dtype, name
         np.testing.assert_array_equal(one, two, err_msg=name)
     assert (episode.port, episode.policy, episode.outcome) == (other.port, other.policy, other.outcome)
@@ -40,7 +42,7 @@ def made_up(rng: np.random.Generator, length: int, port: int = 3, outcome: Outco
     last = np.arange(length) == length - 1
     numbers = rng.normal(size=(length + 1, 13)) * 10.0 ** rng.integers(-140, 140, (length + 1, 13))
     return Episode(
-        observation=rng.normal(size=(length + 1, 13)).astype(np.float32) * np.float32(1e-40),
+        observation={"state": rng.normal(size=(length + 1, 13)).astype(np.float32) * np.float32(1e-40)},
         true_state=numbers,
         epoch=np.stack([np.full(length + 1, 61_253.0), rng.uniform(0, 86_400, length + 1)], axis=1),
         action=rng.normal(size=(length, 6)).astype(np.float32),
@@ -140,7 +142,7 @@ def test_the_metadata_says_what_the_files_hold(recorded):
         assert table.num_rows == info["total_frames"] == summary[split]["transitions"] + info["total_episodes"]
         assert table["index"].to_pylist() == list(range(table.num_rows))
         assert {name: len(feature["names"] or "-") for name, feature in info["features"].items()} == {
-            name: feature.width for name, feature in FEATURES.items()
+            name: feature.shape[0] for name, feature in FEATURES.items()
         }
         meta = pa.concat_tables(pq.read_table(file) for file in sorted((folder / split / "meta/episodes").rglob("*.*")))
         for row in meta.to_pylist():
@@ -302,7 +304,7 @@ def test_the_columns_of_the_published_datasets_are_read_too(tmp_path, inertial):
         state = np.tile([61_253.0, 0.0, *chief, *chaser, 1, 0, 0, 0, 0, 0, speed / radius], (rows, 1))
     else:
         state = rng.normal(size=(rows, 13))
-    vector = np.concatenate([episode.epoch, episode.observation, np.zeros((rows, 12))], axis=1)
+    vector = np.concatenate([episode.epoch, episode.observation["state"], np.zeros((rows, 12))], axis=1)
 
     def nested(values):
         return pa.array([[[float(v)]] for v in values], pa.list_(pa.list_(pa.float32(), 1), 1))
@@ -326,7 +328,7 @@ def test_the_columns_of_the_published_datasets_are_read_too(tmp_path, inertial):
     pq.write_table(table, tmp_path / "data/chunk-000/file-000.parquet")
     (tmp_path / "meta/info.json").write_text(json.dumps({"codebase_version": "v3.0", "total_frames": rows}))
     (back,) = datasets.read(tmp_path)
-    np.testing.assert_array_equal(back.observation, episode.observation)
+    np.testing.assert_array_equal(back.observation["state"], episode.observation["state"])
     np.testing.assert_array_equal(back.action, episode.action)
     assert back.port == 5 and back.outcome == Outcome.COLLIDED and back.policy_name == "dock"
     assert back.done.tolist() == [False] * 5 + [True]

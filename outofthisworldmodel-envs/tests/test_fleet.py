@@ -13,7 +13,7 @@ from owm_envs.env import START_SEPARATION, FleetEnv, FleetLayout, FleetState, as
 from owm_envs.policies import make_policy
 from owm_envs.station import PORTS, port_index
 from owm_envs.task.events import Outcome
-from owm_envs.task.sensors import goal_error
+from owm_envs.task.navigation import goal_error
 from owm_envs.task.separation import swept_separation
 
 RADIUS = 2.25
@@ -90,8 +90,8 @@ def test_chasers_that_do_not_meet_fly_as_alone(x64, fleet, fidelity):
             alone[i], single = step_one(params, alone[i], PUSH[i])
             np.testing.assert_allclose(state.chasers.view[i], alone[i].view, rtol=0, atol=1e-9)
             np.testing.assert_allclose(result.reward[i], single.reward, rtol=0, atol=1e-9)
-            own = result.observation[i, : env.layout.own.size]
-            np.testing.assert_allclose(own, single.observation, rtol=1e-6, atol=1e-6)
+            own = result.observation["state"][i, : env.layout.own.size]
+            np.testing.assert_allclose(own, single.observation["state"], rtol=1e-6, atol=1e-6)
     assert len({tuple(view) for view in np.asarray(state.chasers.view).tolist()}) == 3
     info = env.info(params, state)
     assert np.ptp(info["epoch"], axis=0).max() == 0
@@ -102,7 +102,7 @@ def test_the_first_chaser_starts_as_a_lone_one_from_the_same_key(x64, fleet):
     state, observations = reset(params, key=jax.random.key(7), ports=TO)
     lone, first = quick(env.docking.reset)(params, key=jax.random.key(7), port=TO[0])
     np.testing.assert_allclose(state.chasers.view[0], lone.view, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(observations[0, : env.layout.own.size], first, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(observations["state"][0, : env.layout.own.size], first["state"], rtol=1e-6, atol=1e-6)
     np.testing.assert_array_equal(jax.random.key_data(state.next_key), jax.random.key_data(lone.next_key))
 
 
@@ -119,7 +119,7 @@ def test_relabelling_the_chasers_relabels_the_flight(x64, fleet):
     np.testing.assert_array_equal(other.chasers.outcome, after.chasers.outcome[order])
     np.testing.assert_allclose(other.chasers.view, after.chasers.view[order], atol=1e-12)
     # From 2 one sees 0, 1; relabelled it is 0 and sees what are now 1, 2.
-    np.testing.assert_allclose(again.observation[0], result.observation[2], atol=1e-6)
+    np.testing.assert_allclose(again.observation["state"][0], result.observation["state"][2], atol=1e-6)
 
 
 # Contact
@@ -186,8 +186,8 @@ def test_a_parked_vehicle_is_an_obstacle_and_keeps_its_outcome(x64, fleet):
     parked, result = step(params, place_fleet(env, params, state, views), np.zeros((3, 6)))
     assert parked.chasers.outcome.tolist() == [Outcome.DOCKED, Outcome.RUNNING, Outcome.RUNNING]
     # It is seen at rest where it was captured, whatever its speed then.
-    np.testing.assert_allclose(result.observation[1, -12:-9], [0, -7 + 0.02, 0], atol=1e-5)
-    np.testing.assert_allclose(result.observation[1, -9:-6], [0, 20, 0], atol=1e-5)
+    np.testing.assert_allclose(result.observation["state"][1, -12:-9], [0, -7 + 0.02, 0], atol=1e-5)
+    np.testing.assert_allclose(result.observation["state"][1, -9:-6], [0, 20, 0], atol=1e-5)
     state = parked
     for _ in range(4):
         state, result = step(params, state, np.full((3, 6), 500.0))
@@ -246,7 +246,11 @@ def test_starts_are_apart_and_ports_distinct(x64, fleet, starts):
 
 def test_where_nobody_fits_the_widest_of_the_sets_is_taken(x64, fleet, starts):
     state, observations = starts(within(fleet(fidelity="iss")[1], 0.5, 1.0), jax.random.split(jax.random.key(3), 1000))
-    assert np.isfinite(state.separation).all() and np.isfinite(observations).all() and state.chasers.collided.all()
+    assert (
+        np.isfinite(state.separation).all()
+        and np.isfinite(observations["state"]).all()
+        and state.chasers.collided.all()
+    )
     assert np.median(nearest_pair(state)) > 1.0  # 0.6 m for a single draw
 
 
@@ -265,7 +269,7 @@ def test_the_others_are_measured_with_the_noise_of_the_preset(x64, fleet, starts
     state, observations = starts(params._replace(noise=noise), jax.random.split(jax.random.key(0), 1000))
     view = np.asarray(state.chasers.view[..., :6])
     truth = np.stack([view[:, others] - view[:, [i]] for i, others in enumerate(([1, 2], [0, 2], [0, 1]))], axis=1)
-    error = env.layout.others(np.asarray(observations)) - truth
+    error = env.layout.others(np.asarray(observations["state"])) - truth
     rms = lambda x: np.sqrt((x**2).sum(-1).mean(0))
     np.testing.assert_allclose(rms(error[..., :3]), 0.05, rtol=0.08)
     np.testing.assert_allclose(rms(error[..., 3:]), 0.002, rtol=0.08)
@@ -301,7 +305,7 @@ def test_a_batch_of_episodes_equals_each(x64, fleet):
         np.testing.assert_allclose(after.chasers.view[i], one.chasers.view, rtol=0, atol=1e-9)
         np.testing.assert_allclose(result.reward[i], single.reward, rtol=0, atol=1e-9)
         np.testing.assert_array_equal(after.chasers.outcome[i], one.chasers.outcome)
-        np.testing.assert_allclose(result.observation[i], single.observation, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(result.observation["state"][i], single.observation["state"], rtol=1e-6, atol=1e-6)
 
 
 def test_gradients_are_finite_and_right(x64, fleet):
@@ -312,7 +316,9 @@ def test_gradients_are_finite_and_right(x64, fleet):
     def earned(actions, state, step=env.step):
         after, result = step(params, state, actions)
         exact = jnp.sum(result.reward) + jnp.sum(after.separation) + jnp.sum(after.chasers.view**2)
-        return exact + 0 * jnp.sum(result.observation)  # nothing, unless the observation's gradient is not finite
+        return exact + 0 * jnp.sum(
+            result.observation["state"]
+        )  # nothing, unless the observation's gradient is not finite
 
     slope = quick(jax.grad(earned))
     assert np.isfinite(slope(0 * PUSH, on_top)).all()

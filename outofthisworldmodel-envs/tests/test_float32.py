@@ -123,13 +123,13 @@ def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
     assert info["true_state"].dtype == np.float32
     reset, step = quick(jax.vmap(lambda key: env.reset(params, key=key))), quick(jax.vmap(env.step, (None, 0, 0)))
     state, observation = reset(seed_keys([40, 41]))
-    np.testing.assert_allclose(first, observation, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(first, observation["state"], rtol=1e-6, atol=1e-6)
     wrench = np.array([[300, -200, 100, 50, -40, 30], [0, 0, 0, 0, 0, 0]], np.float32)
     for _ in range(20):
         last, reward, terminated, truncated, info = adapter.step(wrench)
         state, result = step(params, state, wrench)
     assert not (terminated | truncated).any()
-    np.testing.assert_allclose(last, result.observation, rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(last, result.observation["state"], rtol=1e-6, atol=1e-4)
     np.testing.assert_allclose(reward, result.reward, rtol=1e-5, atol=1e-6)
     expected = jax.vmap(env.info, (None, 0))(params, state)
     for name in ("true_state", "measured_state", "epoch", "clearance", "closest_distance"):

@@ -14,6 +14,8 @@ from gymnasium.vector import AutoresetMode
 
 import owm_envs  # noqa: F401 - registers the ids
 from owm_envs.registration import IDS
+from owm_envs.station import PORT_NAMES
+from owm_envs.task.events import Outcome
 
 SHORT = {"noise": "cooperative", "horizon": 0.2}  # four steps an episode
 IDS_OF = {fidelity: name for name, fidelity in IDS.items() if name.endswith("-v0")}
@@ -70,7 +72,7 @@ def test_make_without_importing_the_package():
 def test_info_tells_the_truth_and_the_observation_the_measurement(env, fidelity):
     observation, info = env.reset(seed=1, options={"dock_port": "poisk_zenith"})
     assert observation.flags.writeable and info["true_state"].flags.writeable
-    assert info["port"] == "poisk_zenith" and info["outcome"] == "running"
+    assert PORT_NAMES[info["port"]] == "poisk_zenith" and info["outcome"] == Outcome.RUNNING
     layout = env.unwrapped.layout
     np.testing.assert_allclose(layout.measured_view(observation), info["measured_state"], rtol=1e-6)
     assert 0 < np.linalg.norm(info["measured_state"][:3] - info["true_state"][:3]) < 0.3
@@ -79,7 +81,7 @@ def test_info_tells_the_truth_and_the_observation_the_measurement(env, fidelity)
     assert info["true_state"].dtype == np.float64
     for _ in range(4):
         observation, _, terminated, truncated, info = env.step(ACTION)
-    assert (terminated, truncated, info["outcome"]) == (False, True, "timeout")
+    assert (terminated, truncated, info["outcome"]) == (False, True, Outcome.TIMEOUT)
 
 
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])
@@ -120,7 +122,7 @@ def test_next_step_keeps_the_terminal_observation_then_resets(vector):
     env.reset(seed=0)
     for _ in range(4):
         last, _, _, truncated, info = env.step(np.tile(ACTION, (2, 1)))
-    assert truncated.all() and list(info["outcome"]) == ["timeout"] * 2
+    assert truncated.all() and list(info["outcome"]) == [Outcome.TIMEOUT] * 2
     first, reward, terminated, truncated, info = env.step(np.tile(ACTION, (2, 1)))
     assert not (terminated | truncated).any() and not reward.any()
     assert np.abs(first - last)[:, :3].min() > 0.5
@@ -132,7 +134,9 @@ def test_same_step_returns_the_new_start_and_keeps_the_old_end(vector):
     for _ in range(4):
         observation, reward, _, truncated, info = env.step(np.tile(ACTION, (2, 1)))
     assert truncated.all() and info["_final_obs"].all()
-    assert list(info["final_info"]["outcome"]) == ["timeout"] * 2 and list(info["outcome"]) == ["running"] * 2
+    assert (
+        list(info["final_info"]["outcome"]) == [Outcome.TIMEOUT] * 2 and list(info["outcome"]) == [Outcome.RUNNING] * 2
+    )
     measured = env.unwrapped.layout.measured_view(info["final_obs"])
     np.testing.assert_allclose(measured, info["final_info"]["measured_state"], rtol=1e-6)
     assert np.abs(observation - info["final_obs"])[:, :3].min() > 0.5
@@ -148,7 +152,7 @@ def test_disabled_waits_for_a_reset_mask(vector):
     mask = np.array([False, True])
     observation, info = env.reset(options={"reset_mask": mask, "dock_port": "zvezda_aft"})
     np.testing.assert_array_equal(observation[0], ended[0])
-    assert list(info["_port"]) == [False, True] and info["port"][1] == "zvezda_aft"
+    assert list(info["_port"]) == [False, True] and PORT_NAMES[info["port"][1]] == "zvezda_aft"
     _, _, _, truncated, _ = env.step(np.tile(ACTION, (2, 1)))
     assert list(truncated) == [True, False]
 
@@ -156,7 +160,7 @@ def test_disabled_waits_for_a_reset_mask(vector):
 def test_a_port_per_slot(vector):
     env = vector()
     _, info = env.reset(seed=0, options={"dock_port": ["unity_nadir", "pirs_nadir"]})
-    assert list(info["port"]) == ["unity_nadir", "pirs_nadir"]
+    assert [PORT_NAMES[port] for port in info["port"]] == ["unity_nadir", "pirs_nadir"]
     with pytest.raises(ValueError, match="2 environments"):
         env.reset(options={"dock_port": ["unity_nadir"] * 3})
 
@@ -186,7 +190,7 @@ def test_a_slot_with_a_nan_action_ends_alone_and_stays_finite(vector):
     actions[1, 2] = np.nan
     with pytest.warns(UserWarning, match=r"slots \[1\]"):
         observation, reward, _, truncated, info = env.step(actions)
-    assert list(info["outcome"]) == ["running", "invalid_action"] and list(truncated) == [False, True]
+    assert list(info["outcome"]) == [Outcome.RUNNING, Outcome.INVALID_ACTION] and list(truncated) == [False, True]
     assert np.isfinite(observation).all() and np.isfinite(reward).all()
 
 
@@ -238,7 +242,7 @@ def test_environments_that_differ_in_numbers_share_their_programs(vector):
     }
     other = vector(goal_error=False, **changes)
     _, info = other.reset(seed=0)
-    assert set(info["port"]) == {"zvezda_aft"}
+    assert {PORT_NAMES[port] for port in info["port"]} == {"zvezda_aft"}
     started = info["true_state"][:, 3:6]
     lighter = other.step(np.tile(ACTION, (2, 1)))[4]["true_state"][:, 3:6] - started
     traces = env.unwrapped.traces

@@ -13,6 +13,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
 
 import owm_envs  # noqa: F401 - registers the ids
+from owm_envs.task.events import Outcome
 
 ID = "ISSHCW-v0"
 SHORT = {"noise": "cooperative", "horizon": 0.2}  # four steps an episode
@@ -72,7 +73,7 @@ def test_scalar_wrappers_keep_to_their_spaces(name):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         assert observation in env.observation_space and np.isfinite(observation).all() and np.isfinite(reward)
     assert not terminated and truncated == (name == "TimeLimit")
-    assert info["outcome"] == "running"
+    assert info["outcome"] == Outcome.RUNNING
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # that it is wrapped, and unbounded
@@ -134,7 +135,9 @@ def test_vector_wrappers_work_in_the_autoreset_modes_they_claim(name, mode):
         assert reward.shape == (2,) and np.isfinite(reward).all()
         infos = info if name == "DictInfoToList" else [{"outcome": outcome} for outcome in info["outcome"]]
         ended = terminated | truncated
-        assert [i["outcome"] != "running" for i in infos] == ([False] * 2 if mode == "same_step" else ended.tolist())
+        assert [i["outcome"] != Outcome.RUNNING for i in infos] == (
+            [False] * 2 if mode == "same_step" else ended.tolist()
+        )
         reset_if_waiting(env, ended)
 
 
@@ -153,7 +156,7 @@ def test_vector_wrappers_do_what_they_say(mode):
         for slot, row in enumerate(rows[4]):
             np.testing.assert_array_equal(row["true_state"], info["true_state"][slot])
             if mode == "same_step" and truncated[slot]:
-                assert row["final_info"]["outcome"] == "timeout" and row["outcome"] == "running"
+                assert row["final_info"]["outcome"] == Outcome.TIMEOUT and row["outcome"] == Outcome.RUNNING
                 np.testing.assert_array_equal(row["final_obs"], info["final_obs"][slot])
         episodes += reward
         for slot in np.flatnonzero(truncated):

@@ -11,6 +11,7 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from owm_envs.pettingzoo import env as aec_env
 from owm_envs.pettingzoo import parallel_env
 from owm_envs.render.fleet import COLOURS
+from owm_envs.task.events import Outcome
 
 # Some start beyond the escape radius and leave after one step, the others time out after five: agents end apart.
 SHORT = {"fidelity": "iss", "noise": "cooperative", "normalize": True, "horizon": 0.5, "steps_per_action": 2}
@@ -60,13 +61,13 @@ def test_agents_leave_when_their_episodes_end():
     assert all(set(part) == set(env.possible_agents) for part in first)
     assert {agent for agent, ended in first[2].items() if ended} == beyond
     assert env.agents == [agent for agent in env.possible_agents if agent not in beyond]
-    assert all(first[4][agent]["outcome"] == "escaped" for agent in beyond)
+    assert all(first[4][agent]["outcome"] == Outcome.ESCAPED for agent in beyond)
     for _ in range(4):
         acting = list(env.agents)
         observations, rewards, _, truncated, infos = env.step({agent: PUSH for agent in acting})
         assert set(observations) == set(rewards) == set(infos) == set(acting)
     assert all(truncated.values()) and not env.agents
-    assert {info["outcome"] for info in infos.values()} == {"timeout"}
+    assert {info["outcome"] for info in infos.values()} == {Outcome.TIMEOUT}
     assert env.step({}) == ({}, {}, {}, {}, {})
 
 
@@ -109,7 +110,7 @@ def test_observations_are_measured_and_infos_true():
         for row, other in zip(env.layout.others(seen), others):
             off = np.linalg.norm(row[:3] - (position[other] - position[agent]))
             assert 0 < off < 0.3
-    assert infos["chaser_0"]["true_state"].dtype == np.float64 and isinstance(infos["chaser_0"]["port"], str)
+    assert infos["chaser_0"]["true_state"].dtype == np.float64 and infos["chaser_0"]["port"].dtype == np.int32
     state = env.state()
     assert env.state_space.contains(state)
     np.testing.assert_allclose(state.reshape(3, 26)[1, :13], infos["chaser_1"]["true_state"], rtol=1e-6)

@@ -117,7 +117,9 @@ def test_orbit_keeps_to_a_circle_with_the_nose_at_its_centre(env, flights):
         centripetal = np.linalg.norm(settled[:, 3:6], axis=1) ** 2 / radius * 12_000.0
         assert np.all((centripetal > 0.5 * 960.0) & (centripetal < 1.1 * 960.0))
         nose = -settled[:, :3] / radius[:, None]
-        views = [read_view(env.layout, jnp.asarray(row)) for row in episode.observation[len(episode) // 2 :: 90]]
+        views = [
+            read_view(env.layout, jnp.asarray(row)) for row in episode.observation["state"][len(episode) // 2 :: 90]
+        ]
         errors = [np.linalg.norm(pointing_error(v, jnp.asarray(n))) for v, n in zip(views, nose[::90])]
         assert np.degrees(max(errors)) < 6.0
 

@@ -132,7 +132,7 @@ def test_randomisation_moves_no_other_draw(x64, docking):
         params = params._replace(noise=noise)
         state, observation = reset(params, key=jax.random.key(11))
         after, _ = step(params, state, jnp.zeros(6))
-        seen.append((observation, state.view, state.port, after.measured - after.view, after.next_key))
+        seen.append((observation, state.view, state.port, after.measured["state"] - after.view, after.next_key))
     for plain, randomised in zip(*seen, strict=True):
         if jnp.issubdtype(plain.dtype, jax.dtypes.prng_key):
             plain, randomised = jax.random.key_data(plain), jax.random.key_data(randomised)

@@ -18,7 +18,8 @@ from owm_envs.config import FIDELITIES
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
-from owm_envs.task.sensors import measure
+from owm_envs.task.navigation import measure
+from owm_envs.view import View
 
 TINY = np.finfo(np.float64).smallest_subnormal
 EXTREMES = [0.0, -0.0, TINY, -TINY, 1e-300, 1600.0, -1600.0, 2000.0, 3e38, -4e38, 1e300, -1e300, 1.7976931348623157e308]
@@ -157,13 +158,13 @@ def test_a_batch_reports_the_slots_it_was_told_nonsense_and_goes_on(mode):
     with pytest.warns(UserWarning, match=r"the actions of slots \[1\] are not finite: their episodes end"):
         observation, reward, _, truncated, info = env.step([[1e300] * 6, [np.inf] * 6])
     end = info["final_info"] if mode == "same_step" else info
-    assert end["outcome"][1] == "invalid_action" and truncated.tolist() == [False, True]
+    assert end["outcome"][1] == Outcome.INVALID_ACTION and truncated.tolist() == [False, True]
     assert_finite((observation, reward, {name: v for name, v in end.items() if v.dtype.kind == "f"}))
     if mode == "disabled":
         env.reset(options={"reset_mask": truncated})
     for _ in range(2):
         _, _, _, truncated, info = env.step(np.zeros((2, 6)))
-    assert info["outcome"].tolist() == ["running"] * 2 and not truncated.any()
+    assert info["outcome"].tolist() == [Outcome.RUNNING] * 2 and not truncated.any()
 
 
 def test_a_spin_beyond_the_integrator_is_a_status(fly, fidelity):
@@ -178,7 +179,7 @@ def test_a_spin_beyond_the_integrator_is_a_status(fly, fidelity):
 def test_a_measurement_in_the_origin_has_a_gradient(x64):
     noise = DockingEnv(fidelity="iss", noise="noncooperative").default_params().noise
     view = jnp.asarray([0.0] * 6 + [1.0] + [0.0] * 6)
-    slope = jax.jit(jax.grad(lambda view: jnp.sum(measure(noise, view, key=jax.random.key(0)))))(view)
+    slope = jax.jit(jax.grad(lambda view: jnp.sum(measure(noise, View.of(view), key=jax.random.key(0)))))(view)
     assert np.isfinite(slope).all()
 
 

@@ -33,8 +33,8 @@ def test_an_episode_is_whole_and_says_what_it_was(flown):
     _, _, _, _, ports, which, episodes = flown
     for episode, port, choice in zip(episodes, ports, which):
         assert len(episode) == 40 and episode.outcome == Outcome.TIMEOUT
-        assert episode.observation.shape == episode.true_state.shape == (41, 13)
-        assert episode.observation.dtype == np.float32 and episode.true_state.dtype == np.float64
+        assert episode.observation["state"].shape == episode.true_state.shape == (41, 13)
+        assert episode.observation["state"].dtype == np.float32 and episode.true_state.dtype == np.float64
         assert episode.action.shape == (40, 6) and episode.reward.shape == (40,)
         assert np.flatnonzero(episode.done).tolist() == [39] and not episode.success.any()
         assert episode.port == port and episode.policy_name == ("random", "dock")[choice]
@@ -42,7 +42,7 @@ def test_an_episode_is_whole_and_says_what_it_was(flown):
         seconds = episode.epoch @ [86_400.0, 1.0]
         np.testing.assert_allclose(seconds - seconds[0], 0.05 * np.arange(41), atol=2e-5)
         np.testing.assert_array_equal(episode.true_state[-1], episode.info["true_state"])
-        noise = np.linalg.norm(episode.observation[:, :3] - episode.true_state[:, :3], axis=1)
+        noise = np.linalg.norm(episode.observation["state"][:, :3] - episode.true_state[:, :3], axis=1)
         assert 0.02 < np.sqrt(np.mean(noise**2)) < 0.09
 
 
@@ -95,7 +95,7 @@ def test_an_episode_does_not_depend_on_its_neighbours(mixed):
     moved = list(whole(rollout(env, policies, keys[::-1], ports[::-1], which=which[::-1], chunk=CHUNK)))
     for one, other in zip(episodes, moved[::-1]):
         assert one.outcome == other.outcome and len(one) == len(other)
-        np.testing.assert_array_equal(one.observation, other.observation)
+        np.testing.assert_array_equal(one.observation["state"], other.observation["state"])
         np.testing.assert_allclose(one.true_state, other.true_state, rtol=0, atol=1e-9)
 
 

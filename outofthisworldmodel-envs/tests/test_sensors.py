@@ -8,7 +8,8 @@ import pytest
 from owm_envs.config import load_config
 from owm_envs.config.params import params_from_config
 from owm_envs.env import DockingEnv
-from owm_envs.task.sensors import advance_bias, measure, start_bias
+from owm_envs.task.navigation import advance_bias, measure, start_bias
+from owm_envs.view import View
 
 BIAS = {"position": 0.3, "velocity": 0.02, "attitude": 1e-3, "rate": 2e-4, "correlation_time": 20.0}
 NOISE = {"position": 0.05, "velocity": 0.002, "attitude": 5e-5, "rate": 1e-5}
@@ -55,7 +56,7 @@ def test_white_and_correlated_parts_add_with_their_stated_total_rms(x64):
 
     def measured(noise, key):
         bias = start_bias(jnp.float64, key=jax.random.fold_in(key, 1))
-        return measure(noise, view, bias, key=key), measure(noise, view, key=key)
+        return measure(noise, View.of(view), bias, key=key), measure(noise, View.of(view), key=key)
 
     measured = jax.jit(jax.vmap(measured, (None, 0)))
     both, white = measured(params.noise, keys)
@@ -82,7 +83,7 @@ def test_an_environment_s_bias_drifts_beside_the_same_white_noise(x64, docking):
         state, _ = step(params, state, jnp.zeros(6))
         state_biased, _ = step_biased(biased, state_biased, jnp.zeros(6))
         np.testing.assert_allclose(state_biased.view, state.view, rtol=0, atol=1e-12)
-        offsets.append(np.asarray(state_biased.measured - state.measured)[:3])
+        offsets.append(np.asarray(state_biased.measured["state"] - state.measured["state"])[:3])
         size = np.asarray(state_biased.bias[0]) * BIAS["position"] / np.sqrt(3)
         np.testing.assert_allclose(offsets[-1], size, atol=1e-9)
     moved = np.linalg.norm(np.diff(offsets, axis=0), axis=1)
@@ -104,7 +105,7 @@ def test_an_ended_episode_s_measurement_stays(x64, docking):
     short = params._replace(horizon_steps=jnp.asarray(1, jnp.int32))
     ended, _ = step(short, reset(short, key=jax.random.key(0))[0], jnp.zeros(6))
     again, _ = step(short, ended, jnp.zeros(6))
-    np.testing.assert_array_equal(again.measured, ended.measured)
+    np.testing.assert_array_equal(again.measured["state"], ended.measured["state"])
 
 
 def test_without_a_bias_nothing_is_carried(x64):

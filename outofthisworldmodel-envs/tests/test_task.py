@@ -9,10 +9,11 @@ from owm_envs.config.params import params_from_config
 from owm_envs.env import DockingEnv, FleetEnv
 from owm_envs.station import TRAIN_PORTS, port_index
 from owm_envs.task.events import Outcome
+from owm_envs.task.navigation import goal_error, measure
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.reset import sample_start
 from owm_envs.task.reward import pseudo_huber
-from owm_envs.task.sensors import goal_error, measure
+from owm_envs.view import View
 
 QUICK = {"fidelity": "iss"}
 
@@ -62,7 +63,7 @@ def test_noise_has_the_stated_total_rms(x64, preset):
     noise = params_from_config(load_config(noise=preset)).noise
     view = jnp.asarray([60.0, -80.0, 0.0, 0, 0, 0, 0.5, -0.5, 0.5, 0.5, 0, 0, 0])
     keys = jax.random.split(jax.random.key(1), 20_000)
-    measured = np.asarray(jax.vmap(lambda key: measure(noise, view, key=key))(keys))
+    measured = np.asarray(jax.vmap(lambda key: measure(noise, View.of(view), key=key))(keys))
     angles = np.asarray(jax.vmap(lambda q: quat_angle(q, view[6:10]))(jnp.asarray(measured[:, 6:10])))
     total = float(noise.position) + 100 * float(noise.position_per_range)
     rms = lambda x: np.sqrt((x**2).sum(1).mean())

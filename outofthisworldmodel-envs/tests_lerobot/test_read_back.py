@@ -34,7 +34,7 @@ def test_lerobot_counts_the_same_episodes_and_frames(split):
     assert len(theirs) == sum(len(episode) + 1 for episode in ours)
     assert theirs.fps == 20
     assert {name: tuple(feature["shape"]) for name, feature in theirs.features.items()} == {
-        name: (feature.width,) for name, feature in FEATURES.items()
+        name: feature.shape for name, feature in FEATURES.items()
     }
 
 
@@ -57,7 +57,7 @@ def test_lerobot_holds_the_same_bits(split):
 def test_an_item_is_a_frame_with_its_task(split):
     ours, theirs = split
     item = theirs[0]
-    np.testing.assert_array_equal(item["observation.state"].numpy(), ours[0].observation[0])
+    np.testing.assert_array_equal(item["observation.state"].numpy(), ours[0].observation["state"][0])
     # LeRobot hands float64 columns out as float32 tensors; the file keeps them whole, as the test above shows.
     np.testing.assert_array_equal(item["observation.environment_state"].numpy(), ours[0].true_state[0].astype("f4"))
     assert item["next.done"].dtype == torch.bool
@@ -81,7 +81,7 @@ def test_windows_and_batches_come_out_as_lerobot_trains_on_them(split, folder):
     loader = torch.utils.data.DataLoader(windows, batch_size=4, shuffle=False)
     batch = next(iter(loader))
     assert batch["observation.state"].shape == (4, 2, 13) and batch["action"].shape == (4, 2, 6)
-    np.testing.assert_array_equal(batch["observation.state"][1].numpy(), ours[0].observation[:2])
+    np.testing.assert_array_equal(batch["observation.state"][1].numpy(), ours[0].observation["state"][:2])
     np.testing.assert_array_equal(batch["action"][1].numpy(), ours[0].action[1:3])
     assert batch["observation.state_is_pad"][0].tolist() == [True, False]
 
@@ -91,4 +91,4 @@ def test_a_single_episode_can_be_chosen(split):
     last = len(ours) - 1
     chosen = LeRobotDataset(theirs.repo_id, root=theirs.root, episodes=[last])
     assert len(chosen) == len(ours[last]) + 1
-    np.testing.assert_array_equal(chosen[0]["observation.state"].numpy(), ours[last].observation[0])
+    np.testing.assert_array_equal(chosen[0]["observation.state"].numpy(), ours[last].observation["state"][0])

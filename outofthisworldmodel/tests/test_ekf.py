@@ -9,7 +9,8 @@ from owm.baselines.ekf import ErrorStateEKF
 from owm.interface import History
 from owm.motion.kinematics import displaced, view_error
 from owm.scores.calibration import sample_views
-from owm_envs.task.sensors import measure
+from owm_envs.task.navigation import measure
+from owm_envs.view import View
 
 RUNS, STEPS = 64, 40
 PROCESS_NOISE = (2e-3, 2e-4, 2e-5, 5e-6)
@@ -44,7 +45,7 @@ def flown(ekf):
             action, error, key = step
             state = ekf.process.step(ekf.params.process, None, action, state)
             truth = displaced(ekf.process.decode(ekf.params.process, state)["state"], error)
-            seen = measure(ekf.params.noise, truth, key=key)
+            seen = measure(ekf.params.noise, View.of(truth), key=key)
             ahead = ekf.predict(ekf.params, belief, action)
             surprise = normalized(*ekf.innovation(ekf.params, ahead, seen))
             belief = ekf.update(ekf.params, ahead, seen)
@@ -52,7 +53,7 @@ def flown(ekf):
             scores = normalized(off, belief.covariance), surprise, off, view_error(seen, truth)
             return (ekf.process.start(ekf.params.process, state.epoch, truth), belief), (seen, belief, scores)
 
-        first = measure(ekf.params.noise, start, key=keys[-1])
+        first = measure(ekf.params.noise, View.of(start), key=keys[-1])
         carry = ekf.process.start(ekf.params.process, jnp.zeros(2, jnp.float32), start), ekf.init(ekf.params, first)
         seen, beliefs, scores = jax.lax.scan(advance, carry, (actions, errors, keys[:-1]))[1]
         return jnp.concatenate([first[None], seen]), actions, beliefs, scores

@@ -18,8 +18,8 @@ class Episode:
     """
 
     observation: dict[str, Shaped[np.ndarray, "T+1 ..."]]
-    """What the policy saw, by parts: "state" is the float32 measured relative view (T+1, 13), whatever the observation's
-    layout was; the others are as their sensors gave them."""
+    """What the policy saw, by parts: "state" is the float32 measured relative view (T+1, 13), whatever the
+    observation's layout was; the others are as their sensors gave them."""
     true_state: Float[np.ndarray, "T+1 13"]
     """float64 true relative view."""
     epoch: Float[np.ndarray, "T+1 2"]
@@ -52,6 +52,6 @@ class Episode:
     @property
     def outcome_name(self) -> str:
         """What the episode came to, in lower case."""
-        from owm_envs.task.events import Outcome
+        from owm_envs.task.events import OUTCOME_NAMES
 
-        return Outcome(self.outcome).name.lower()
+        return OUTCOME_NAMES[self.outcome]

@@ -17,7 +17,7 @@ from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
-from owm_envs.task.events import Outcome
+from owm_envs.task.events import OUTCOME_NAMES
 from owm_envs.task.sensors import Sensor
 from owm_envs.words import unknown
 
@@ -113,7 +113,7 @@ class _Shell:
         seconds = float(host.physics.elapsed[slot])
         lines = [
             f"{self.docking_env.name}   {PORT_NAMES[port]}",
-            f"t {seconds:6.1f} s   {Outcome(int(host.outcome[slot])).name.lower()}",
+            f"t {seconds:6.1f} s   {OUTCOME_NAMES[int(host.outcome[slot])]}",
             f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
             f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
             f"clearance {float(host.room.least[slot]):6.2f} m (least)",
@@ -215,8 +215,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
         disable_env_checker: taken as `gymnasium.make` takes it; there is no checker of vector environments.
 
     `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool})`. A slot whose
-    action is not finite ends as `Outcome.INVALID_ACTION`. In `info`, arrays are batched; a mask `_name` says where `name` is
-    set.
+    action is not finite ends as `Outcome.INVALID_ACTION`. In `info`, arrays are batched; a mask `_name` says where
+    `name` is set.
     """
 
     metadata = {  # noqa: RUF012 - Gymnasium's interface

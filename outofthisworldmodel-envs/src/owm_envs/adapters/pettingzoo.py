@@ -100,9 +100,9 @@ class DockingParallelEnv(ParallelEnv):
     """`num_chasers` agents "chaser_0", "chaser_1", ... that dock at distinct ports at once; see `FleetEnv`.
 
     An agent leaves `agents` when its episode has ended; its vehicle stays where it is, an obstacle to the others.
-    Observations, or the state part of those with `sensors`, are laid out as `layout` (a `FleetLayout`) says; infos hold the truth, for scoring. `state()` is
-    the truth of the whole fleet, for centralised critics: for each chaser, its true relative view (13), true goal error
-    (12) and whether its episode is running.
+    Observations, or the state part of those with `sensors`, are laid out as `layout` (a `FleetLayout`) says; infos
+    hold the truth, for scoring. `state()` is the truth of the whole fleet, for centralised critics: for each chaser,
+    its true relative view (13), true goal error (12) and whether its episode is running.
 
     Args:
         num_chasers: agents, at most the number of configured ports.

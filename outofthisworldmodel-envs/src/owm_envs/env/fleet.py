@@ -46,7 +46,7 @@ class FleetState(NamedTuple):
 
 @dataclass(frozen=True)
 class FleetLayout:
-    """The state part of one chaser's observation: that of `DockingEnv`, then each other chaser in order of their indices.
+    """The state part of one chaser's observation: that of `DockingEnv`, then each other chaser by index.
 
     The others' part is [position 3 m, velocity 3 m/s] of the other minus one's own, station frame, as measured; with
     `normalize`, divided by the first six of `VIEW_SCALE`. One that has ended its episode stays where it is, at rest.

@@ -23,6 +23,10 @@ class Outcome(IntEnum):
     """The equations of motion gave no usable number: the state before is kept."""
 
 
+OUTCOME_NAMES: tuple[str, ...] = tuple(outcome.name.lower() for outcome in Outcome)
+"""Of each outcome, in the order of their numbers."""
+
+
 class Closest(NamedTuple):
     """Errors to the goal at the closest approach so far: m, m/s, rad, rad/s, and its time s."""
 
