@@ -2,8 +2,8 @@
 
 import json
 import pickle
-from dataclasses import dataclass
-from typing import ClassVar
+import sys
+from pathlib import Path
 
 import gymnasium
 import jax
@@ -19,48 +19,10 @@ from owm_envs.env import DockingEnv
 from owm_envs.pettingzoo import parallel_env
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.rollout import episodes, rollout
-from owm_envs.task.sensors import Measurement
 
-CONFIG = {"fidelity": "iss", "noise": "cooperative", "horizon": 0.5, "ports": ["zvezda_aft", "unity_nadir"]}
-LIMIT = 150.0
-"""m. Starts are 100 to 200 m away: some are measured, some are not."""
+sys.path.insert(0, str(Path(__file__).parent))
 
-
-@dataclass(frozen=True)
-class RangeFinder:
-    """Distance to the station's origin, m, up to a limit, every other decision."""
-
-    spread: float = 0.1
-    limit: float = LIMIT
-    name: str = "range"
-    shape: tuple[int, ...] = ()
-    dtype: str = "float32"
-    every: int = 2
-    may_miss: bool = True
-
-    def measure(self, key, truth):
-        """Measure."""
-        distance = jnp.linalg.norm(truth.view.position)
-        return Measurement((distance + self.spread * jax.random.normal(key)).astype(jnp.float32), distance < self.limit)
-
-
-@dataclass(frozen=True)
-class Patch:
-    """A picture of 2 by 3 pixels: the port's index and the decisions so far."""
-
-    name: str = "patch"
-    shape: tuple[int, ...] = (2, 3)
-    dtype: str = "uint8"
-    every: int = 1
-    may_miss: ClassVar[bool] = False
-
-    def measure(self, key, truth):
-        """Measure."""
-        return jnp.stack([jnp.full(3, truth.port), jnp.full(3, truth.count)]).astype(jnp.uint8)
-
-
-SENSORS = (RangeFinder(), Patch())
-PARTS = {"state": (25,), "range": (1,), "range_valid": (1,), "patch": (2, 3)}
+from small_sensors import CONFIG, LIMIT, PARTS, SENSORS, Patch, RangeFinder
 
 
 def make(**kwargs):
@@ -217,13 +179,6 @@ def test_a_policy_flies_on_dicts():
     np.testing.assert_array_equal(policies[0].predict(observation)[0], policies[1].predict(array)[0])
 
 
-@dataclass(frozen=True)
-class Wrong(RangeFinder):
-    """Declares other than it measures."""
-
-    dtype: str = "float64"
-
-
 @pytest.mark.parametrize(
     "sensors, says",
     [
@@ -241,6 +196,6 @@ def test_sensors_that_cannot_be(sensors, says):
 
 
 def test_a_sensor_measures_what_it_declares():
-    env = gymnasium.make("ISS-v0", config=CONFIG, sensors=(Wrong(),))
+    env = gymnasium.make("ISS-v0", config=CONFIG, sensors=(RangeFinder(dtype="float64"),))
     with pytest.raises(ValueError, match=r"sensor 'range' declares \(\) float64, but measures \(\) float32"):
         env.reset(seed=0)

@@ -17,6 +17,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecEnv, V
 from owm_envs.adapters.gymnasium import DockingGymEnv, DockingVectorEnv
 from owm_envs.config import load_config
 from owm_envs.sb3 import make_vec_env
+from owm_envs.station import PORT_NAMES
+from owm_envs.task.events import Outcome
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from small_sensors import PARTS, SENSORS
 
 SHORT = {"horizon": 4.0, "noise": "cooperative"}  # four decisions an episode
 NATIVE = {"preset": "rl", "normalize": True, **SHORT}
@@ -86,6 +92,25 @@ def test_numbers_and_terminal_observations_are_the_native_batch_s(venv):
     assert venv.get_attr("traces")[0]["step"] == 1
 
 
+def test_a_second_sensor_makes_observations_dicts():
+    """A policy of several inputs learns on them, and its terminal observations are whole."""
+    venv = make_vec_env("iss-hcw", SLOTS, seed=5, sensors=SENSORS, **SHORT)
+    plain = make_vec_env("iss-hcw", SLOTS, seed=5, **SHORT)
+    first = venv.reset()
+    assert {name: part.shape[1:] for name, part in first.items()} == PARTS
+    np.testing.assert_array_equal(first["state"], plain.reset())
+    for action in actions(4):
+        observation, _, done, infos = venv.step(action)
+        np.testing.assert_array_equal(observation["state"], plain.step(action)[0])
+    assert done.all() and (observation["patch"][:, 1] == 0).all()
+    last = infos[0]["terminal_observation"]
+    assert last in venv.observation_space and (last["patch"][1] == 4).all()
+    check_env(DockingGymEnv(fidelity="iss-hcw", sensors=SENSORS, **NATIVE), skip_render_check=True)
+    model = PPO("MultiInputPolicy", VecMonitor(venv), n_steps=8, batch_size=8, n_epochs=1, seed=0)
+    model.learn(2 * 8 * SLOTS)
+    assert model.predict(observation, deterministic=True)[0].shape == (SLOTS, 6)
+
+
 def test_only_the_horizon_is_a_time_limit():
     venv = make_vec_env("iss-hcw", 8, seed=0, escape_radius=112.0, **SHORT)  # starts lie at 100 to 125 m
     venv.reset()
@@ -98,8 +123,8 @@ def test_only_the_horizon_is_a_time_limit():
         assert np.isfinite(reward).all()
         for info in (info for info, over in zip(infos, done) if over):
             assert np.isfinite(info["terminal_observation"]).all()
-            ended.setdefault(info["outcome"], set()).add(info["TimeLimit.truncated"])
-    assert ended == {"escaped": {False}, "timeout": {True}, "invalid_action": {False}}
+            ended.setdefault(Outcome(info["outcome"]), set()).add(info["TimeLimit.truncated"])
+    assert ended == {Outcome.ESCAPED: {False}, Outcome.TIMEOUT: {True}, Outcome.INVALID_ACTION: {False}}
 
 
 def test_a_seed_is_used_once_and_then_the_chain_goes_on(venv):
@@ -115,14 +140,14 @@ def test_a_seed_is_used_once_and_then_the_chain_goes_on(venv):
 def test_options_choose_the_port_once(venv):
     venv.set_options({"dock_port": "zvezda_aft"})
     venv.reset()
-    assert [info["port"] for info in venv.reset_infos] == ["zvezda_aft"] * SLOTS
+    assert [PORT_NAMES[info["port"]] for info in venv.reset_infos] == ["zvezda_aft"] * SLOTS
     venv.set_options([{"dock_port": "pirs_nadir"}, {}, {"dock_port": "unity_nadir"}])
     venv.seed(5)
     venv.reset()
-    ports = [info["port"] for info in venv.reset_infos]
+    ports = [PORT_NAMES[info["port"]] for info in venv.reset_infos]
     venv.seed(5)
     venv.reset()
-    assert ports == ["pirs_nadir", venv.reset_infos[1]["port"], "unity_nadir"]
+    assert ports == ["pirs_nadir", PORT_NAMES[venv.reset_infos[1]["port"]], "unity_nadir"]
     venv.set_options({"dock_prot": "zvezda_aft"})
     with pytest.raises(ValueError, match="did you mean 'dock_port'"):
         venv.reset()
@@ -138,7 +163,7 @@ def test_slots_have_attributes_and_methods(venv):
         venv.set_attr("config", None)
     assert venv.env_is_wrapped(Wrapper, indices=1) == [False]
     ((observation, info),) = venv.env_method("reset", seed=9, options={"dock_port": "poisk_zenith"}, indices=1)
-    assert info["port"] == "poisk_zenith" and np.abs(observation - before[1]).max() > 0.01
+    assert PORT_NAMES[info["port"]] == "poisk_zenith" and np.abs(observation - before[1]).max() > 0.01
     fresh = make_vec_env("iss-hcw", 1, seed=9, **SHORT)
     fresh.set_options({"dock_port": "poisk_zenith"})
     np.testing.assert_allclose(fresh.reset()[0], observation, rtol=1e-6, atol=1e-6)

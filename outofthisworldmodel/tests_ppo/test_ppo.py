@@ -23,7 +23,7 @@ from owm.catalogue.policies import kind_of, load_policy
 from owm.checkpoint import CheckpointError
 from owm_envs.config import load_config
 from owm_envs.field import load_field
-from owm_envs.station import goal_poses, port_index
+from owm_envs.station import goal_poses
 
 QUICK = PRESETS["ci"].model_copy(update={"env": "iss-hcw", "observe_field": True})
 QUIET = Console(quiet=True)
@@ -84,7 +84,7 @@ def test_the_exported_actor_is_stable_baselines3_s(run, tmp_path):
     config = venv.get_attr("config")[0]
     ours = PPOPolicy(tmp_path / "policy", config, 5, load_field())
     observation = venv.reset()
-    ours.reset(ports=[port_index(info["port"]) for info in venv.unwrapped.reset_infos])
+    ours.reset(ports=[info["port"] for info in venv.unwrapped.reset_infos])
     raw = venv.get_original_obs()
     for _ in range(5):
         expected = model.predict(observation, deterministic=True)[0]
@@ -118,7 +118,7 @@ def test_the_field_is_observed_at_the_measured_position_of_each_slot_s_port():
     venv = make_env(QUICK.model_copy(update={"noise": "none"}), 6, 3, training=False)
     venv.reset()
     raw, field = venv.get_original_obs(), load_field()
-    ports = np.array([port_index(info["port"]) for info in venv.unwrapped.reset_infos], np.int32)
+    ports = np.array([info["port"] for info in venv.unwrapped.reset_infos], np.int32)
     true = np.stack([info["true_state"] for info in venv.unwrapped.reset_infos])
     np.testing.assert_allclose(raw[:, -4:], field_features(field, ports, true[:, :3].astype(np.float32)), atol=1e-4)
     distance = np.linalg.norm(true[:, :3] - goal_poses()[ports, :3], axis=1)

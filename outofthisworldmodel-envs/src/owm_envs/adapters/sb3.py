@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from owm_envs.adapters.gymnasium import DockingVectorEnv
+from owm_envs.adapters.gymnasium import DockingVectorEnv, scalar_info
 from owm_envs.adapters.parts import Shown, each
 from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
@@ -211,6 +211,6 @@ def _row(observation: Shown, slot: int) -> Shown:
 
 
 def _rows(info: Mapping[str, Any], slots: np.ndarray) -> list[dict[str, Any]]:
-    """The batched info of the chosen slots as a dict each, of NumPy scalars and arrays of their own."""
+    """The batched info of the chosen slots as a dict each, of numbers and arrays of their own."""
     picked = {n: v[slots] for n, v in info.items() if not n.startswith(("_", "final_"))}
-    return [dict(zip(picked, row)) for row in zip(*picked.values())]
+    return [scalar_info(picked, row) for row in range(len(slots))]

@@ -34,7 +34,7 @@ class Recording(NamedTuple):
 def recorded(episode: Episode, stride: int = STRIDE) -> Recording:
     """Return a flight as training takes it."""
     return Recording(
-        episode.observation,
+        episode.observation["state"],
         episode.true_state,
         episode.action,
         episode.policy_name,

@@ -13,6 +13,7 @@ from owm.scores.flights import Flights, join
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
+from owm_envs.task.events import OUTCOME_NAMES
 
 SHELLS: dict[str, tuple[float, float]] = {"100-125": (100.0, 125.0), "100-225": (100.0, 225.0)}
 """Start shells of the two tables, m: the paper's for reinforcement learning, and all starts."""
@@ -165,7 +166,7 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         port=ports.copy(),
         seed=seeds.copy(),
         digest=digest,
-        outcome=info["outcome"].copy(),
+        outcome=np.array(OUTCOME_NAMES).take(info["outcome"]),
         collided=info["collided"].copy(),
         **closest,
         **_split(approach, ports),

@@ -134,7 +134,7 @@ def _validate(model: PPO, trial: VecNormalize) -> dict[str, float]:
     rows = list(ended.values())
     return {
         "validation/return": float(np.mean([row["episode"]["r"] for row in rows])),
-        "validation/docked": float(np.mean([row["outcome"] == "docked" for row in rows])),
+        "validation/docked": float(np.mean([row["is_success"] for row in rows])),
         "validation/collided": float(np.mean([row["collided"] for row in rows])),
         "validation/closest_m": float(np.median([row["closest_distance"] for row in rows])),
     }

@@ -8,7 +8,6 @@ from owm.baselines.ppo.config import PPOConfig
 from owm.baselines.ppo.features import FEATURES, with_field
 from owm_envs.field import load_field
 from owm_envs.sb3 import make_vec_env
-from owm_envs.station import port_index
 
 
 class FieldObservation(VecEnvWrapper):
@@ -26,7 +25,7 @@ class FieldObservation(VecEnvWrapper):
 
     def reset(self) -> np.ndarray:
         observation = self.venv.reset()
-        self._ports = np.array([port_index(info["port"]) for info in self.unwrapped.reset_infos], np.int32)
+        self._ports = np.array([info["port"] for info in self.unwrapped.reset_infos], np.int32)
         return self._extend(observation, self._ports)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict]]:
@@ -36,7 +35,7 @@ class FieldObservation(VecEnvWrapper):
             last = np.stack([infos[slot]["terminal_observation"] for slot in ended])
             for slot, seen in zip(ended.tolist(), self._extend(last, self._ports[ended])):
                 infos[slot]["terminal_observation"] = seen
-                self._ports[slot] = port_index(self.unwrapped.reset_infos[slot]["port"])
+                self._ports[slot] = self.unwrapped.reset_infos[slot]["port"]
         return self._extend(observation, self._ports), reward, done, infos
 
 
