@@ -33,7 +33,7 @@ class FreeBody:
         return NO_BIAS
 
     def encode(self, params, history):
-        return history.observation[-1]
+        return history.observation["state"][-1]
 
     def step(self, params, key, action, state):
         dt = self.dt
@@ -45,7 +45,7 @@ class FreeBody:
         return jnp.concatenate([position, velocity, quat_normalize(attitude), rate])
 
     def observe(self, params, state, action, observation):
-        return observation
+        return observation["state"]
 
     def decode(self, params, state):
         return {"state": state}
@@ -67,7 +67,8 @@ def view_at(offset, attitude=None) -> np.ndarray:
 
 def history_at(view, length: int = 3) -> History:
     """A history that saw nothing but one view."""
-    return History(np.tile(view, (length, 1)), np.zeros((length - 1, 6), np.float32), np.arange(length) == length - 1)
+    views = np.tile(view, (length, 1))
+    return History({"state": views}, np.zeros((length - 1, 6), np.float32), np.arange(length) == length - 1)
 
 
 @jax.jit

@@ -133,6 +133,8 @@ def episodes(seed, count, seconds=90.0, policies=POLICIES, orbital=1.0, noise=1.
     flown = jax.vmap(lambda k, p: fly(k, p, steps, orbital, noise))(keys, index)
     seen, true, action = (np.asarray(x) for x in flown)
     return [
-        SimpleNamespace(state=seen[i], true_state=true[i], action=action[i], policy=names[i], port="none")
+        SimpleNamespace(
+            observation={"state": seen[i]}, true_state=true[i], action=action[i], policy=names[i], port="none"
+        )
         for i in range(count)
     ]

@@ -52,7 +52,7 @@ def flights(seed: int, spread: float, late: int):
     """Flights under held random wrenches, of which each vehicle makes its own, up to `late` of 5 frames late."""
     views, truths, actions = map(np.asarray, fly(jax.random.split(jax.random.key(seed), 32), spread, late))
     return from_episodes(
-        SimpleNamespace(state=v, true_state=t, action=a, policy="excite", stride=1)
+        SimpleNamespace(observation={"state": v}, true_state=t, action=a, policy="excite", stride=1)
         for v, t, a in zip(views, truths, actions, strict=True)
     )
 
@@ -92,7 +92,9 @@ def test_the_prior_is_the_spread_of_the_vehicles(models):
 def followed(model, windows):
     """The tracks of whole windows of a history, by window and measurement."""
     statistics = model.params.statistics
-    return follow_windows(VEHICLE, statistics.filter, statistics.linear, windows.observation, windows.action, 0.25)
+    return follow_windows(
+        VEHICLE, statistics.filter, statistics.linear, windows.observation["state"], windows.action, 0.25
+    )
 
 
 def test_innovations_have_unit_variance_whatever_the_vehicle(models):
@@ -106,7 +108,8 @@ def test_noise_beyond_the_training_s_is_not_taken_for_the_vehicle(models):
     statistics = models["adaptive"].params.statistics
     windows = flights(9, 0.3, 0).windows(HISTORY, 64, seed=4)
     loud = np.random.default_rng(0).normal(size=(64, HISTORY, 3)) * 25.0 * np.sqrt(statistics.filter.noise[1])
-    windows = windows._replace(observation=windows.observation.at[:, :, 3:6].add(np.float32(loud)))
+    louder = windows.observation["state"].at[:, :, 3:6].add(np.float32(loud))
+    windows = windows._replace(observation={"state": louder})
     mean = np.asarray(followed(models["adaptive"], windows).response.mean)[:, 15]  # after 4 s
     found = mean[:, :3, :3] / statistics.filter.response[:3, :3]
     size = np.sqrt(np.mean(np.diagonal(found, axis1=1, axis2=2) ** 2))

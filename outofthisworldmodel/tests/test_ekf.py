@@ -74,13 +74,14 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(flown):
 def test_a_history_is_filtered_from_its_first_real_measurement(ekf, flown):
     seen, actions, beliefs, _ = jax.tree.map(lambda x: x[0], flown)
     encode = jax.jit(ekf.encode)
-    whole = encode(ekf.params, History(seen[:8], actions[:7], ALL))
+    whole = encode(ekf.params, History({"state": seen[:8]}, actions[:7], ALL))
     np.testing.assert_allclose(whole.view, beliefs.view[6], atol=1e-4)
     np.testing.assert_allclose(whole.covariance, beliefs.covariance[6], rtol=0.02, atol=1e-7)
     late = np.arange(8) >= 4
     views = np.concatenate([np.broadcast_to(seen[4], (4, 13)), seen[4:8]])
-    half = encode(ekf.params, History(views, actions[:7], late))
-    other = encode(ekf.params, History(views, np.where(late[:-1, None], actions[:7], 1e3).astype(np.float32), late))
+    half = encode(ekf.params, History({"state": views}, actions[:7], late))
+    wild = np.where(late[:-1, None], actions[:7], 1e3).astype(np.float32)
+    other = encode(ekf.params, History({"state": views}, wild, late))
     np.testing.assert_array_equal(half.view, other.view)
     ratio = np.diag(half.covariance) / np.diag(whole.covariance)
     assert 1.4 < ratio[0] < 2.0  # four measurements for eight
@@ -89,7 +90,7 @@ def test_a_history_is_filtered_from_its_first_real_measurement(ekf, flown):
 def test_samples_spread_as_coasting_does(ekf):
     """Position takes over the errors of velocity: its variance grows as the square of time, noise added apart."""
     steps, dt = 16, ekf.dt
-    history = History(np.tile(VIEW, (8, 1)), np.zeros((7, 6), np.float32), np.arange(8) == 7)
+    history = History({"state": np.tile(VIEW, (8, 1))}, np.zeros((7, 6), np.float32), np.arange(8) == 7)
     draw = jax.jit(lambda key: sample_views(ekf, ekf.params, key, history, jnp.zeros((steps, 6), jnp.float32), 1500))
     drawn = np.asarray(draw(jax.random.key(0)))
     position, velocity, _, _ = np.array([0.05, 0.002, 0.0, 0.0]) / 3**0.5

@@ -50,7 +50,7 @@ def test_the_quaternion_is_that_of_the_nearest_rotation():
 
 def test_a_view_survives_its_encoding(untrained, episodes):
     network, statistics = untrained.params
-    views = jnp.asarray(episodes.observation[:300:7])
+    views = jnp.asarray(episodes.view[:300:7])
 
     @jax.jit
     def there_and_back(views):
@@ -108,7 +108,9 @@ def learned(statistics, episodes):
             stream, state = carry
             chosen = jax.random.randint(key, (256,), 0, len(windows.action))
             gradient = jax.grad(
-                lambda s: jnp.mean(jax.vmap(loss, (None, 0, 0))(s, windows.observation[chosen], windows.action[chosen]))
+                lambda s: jnp.mean(
+                    jax.vmap(loss, (None, 0, 0))(s, windows.observation["state"][chosen], windows.action[chosen])
+                )
             )(stream)
             updates, state = optimizer.update(gradient, state, stream)
             return (optax.apply_updates(stream, updates), state), None
@@ -134,7 +136,7 @@ def test_the_trained_layer_finds_the_motion_by_itself(learned, statistics, episo
 
 def test_the_trained_layer_learns_from_measured_steps_alone(learned, statistics, episodes):
     window = episodes.windows(2, 1, seed=3)
-    view, action, residual = window.observation[0], window.action[0, 0], jnp.ones((4, 16), jnp.float32)
+    view, action, residual = window.observation["state"][0], window.action[0, 0], jnp.ones((4, 16), jnp.float32)
 
     @jax.jit
     @jax.grad
@@ -199,7 +201,9 @@ def test_latents_do_not_collapse_in_training(statistics, episodes):
         decoded = jax.vmap(lambda carry: trained.stream.decoded(statistics, carry))(after)
         return before.tokens, after.tokens, decoded, jax.vmap(lambda view: features(view, after.anchor[0]))(observation)
 
-    first, tokens, decoded, seen = (x.reshape(-1, *x.shape[2:]) for x in encoded(windows.observation, windows.action))
+    first, tokens, decoded, seen = (
+        x.reshape(-1, *x.shape[2:]) for x in encoded(windows.observation["state"], windows.action)
+    )
     assert float(jnp.abs(tokens - first).max()) > 1e-2
     assert float((jnp.var(decoded - seen, axis=0) / jnp.var(seen, axis=0)).max()) < 0.1
     flat = tokens.reshape(len(tokens), -1)

@@ -17,7 +17,7 @@ WRENCHES = np.random.default_rng(0).uniform(-1, 1, (64, 6)) * np.array([1600.0] 
 
 
 def history_at(view):
-    return History(view[None], np.zeros((0, 6)), np.ones(1, bool))
+    return History({"state": view[None]}, np.zeros((0, 6)), np.ones(1, bool))
 
 
 @pytest.mark.parametrize("fidelity", ["iss", "iss-hcw", "iss-numerical"])
@@ -57,7 +57,9 @@ def test_follows_the_environment_of_its_fidelity(fidelity):
 def test_observing_starts_again_from_the_measurement_one_step_later():
     model = ExactDynamics("iss-hcw")
     view = VIEW.astype(np.float32)
-    state = model.observe(model.params, model.encode(model.params, history_at(0.5 * view)), WRENCHES[0], view)
+    state = model.observe(
+        model.params, model.encode(model.params, history_at(0.5 * view)), WRENCHES[0], {"state": view}
+    )
     np.testing.assert_allclose(model.decode(model.params, state)["state"], view, atol=1e-6)
     assert float(state.epoch[1] - model.params.chief.epoch[1]) == pytest.approx(0.25)
 

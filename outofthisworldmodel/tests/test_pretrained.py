@@ -22,12 +22,12 @@ def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
 
     @jax.jit
     def truth(view, actions):
-        start = History(view[None], jnp.zeros((0, 6), jnp.float32), jnp.ones(1, bool))
+        start = History({"state": view[None]}, jnp.zeros((0, 6), jnp.float32), jnp.ones(1, bool))
         return roll_out(exact, exact.params, start, actions)
 
     views = jnp.concatenate([view[None], truth(view, actions)])
     known = model.history_length
-    history = History(views[:known], actions[: known - 1], jnp.ones(known, bool))
+    history = History({"state": views[:known]}, actions[: known - 1], jnp.ones(known, bool))
     rest = actions[known - 1 :]
     predicted = jax.jit(lambda history, actions: roll_out(model, model.params, history, actions))(history, rest)
     error = np.linalg.norm(np.asarray(view_error(predicted[-1], views[-1])).reshape(4, 3), axis=1)

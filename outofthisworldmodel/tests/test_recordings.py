@@ -28,8 +28,8 @@ def test_every_policy_is_judged_on_flights_set_aside(corpora):
     assert recorded["excite"] >= 8
     assert aside == {name: count // 8 if count >= 8 else int(count >= 3) for name, count in recorded.items()}
     assert Counter(val.policies)["excite"] == aside["excite"]
-    seen = {row.tobytes() for row in train.observation}
-    assert not any(row.tobytes() in seen for row in val.observation)
+    seen = {row.tobytes() for row in train.view}
+    assert not any(row.tobytes() in seen for row in val.view)
 
 
 def test_several_corpora_are_pooled_and_no_window_crosses_from_one_to_the_other(corpora):
@@ -39,7 +39,7 @@ def test_several_corpora_are_pooled_and_no_window_crosses_from_one_to_the_other(
     rows = both.starts(9)
     assert len(rows) == len(one.starts(9)) + len(other.starts(9))
     np.testing.assert_array_equal(both.episode[rows], both.episode[rows + 8])
-    np.testing.assert_array_equal(both.observation, np.concatenate([one.observation, other.observation]))
+    np.testing.assert_array_equal(both.view, np.concatenate([one.view, other.view]))
 
 
 def test_a_recording_of_actions_held_for_a_step_is_taken_as_it_is(tmp_path):
@@ -50,7 +50,7 @@ def test_a_recording_of_actions_held_for_a_step_is_taken_as_it_is(tmp_path):
     episodes = recordings.at_model_rate(recorded, phases=5)
     assert episodes.dt == 0.25 and episodes.steps == sum(len(recording.action) for recording in recorded)
     first = episodes.track == 0
-    np.testing.assert_allclose(episodes.observation[first][:, :6], recorded[0].state[:, :6], rtol=1e-6)
+    np.testing.assert_allclose(episodes.view[first][:, :6], recorded[0].observation["state"][:, :6], rtol=1e-6)
     np.testing.assert_allclose(episodes.action[first][:-1], recorded[0].action, rtol=1e-6)
 
 

@@ -54,6 +54,7 @@ from owm.training.config import TrainConfig
 from owm.training.loop import train
 data = dict(np.load(sys.argv[1]))
 texts = {k: tuple(data.pop(k).tolist()) for k in ("policies", "ports")}
+data["observation"] = {"state": data.pop("observation")}
 episodes = Episodes(**{k: v for k, v in data.items() if k != "dt"}, **texts, dt=float(data["dt"]))
 train(TrainConfig.model_validate_json(sys.argv[2]), episodes, episodes, sys.argv[3])
 """
@@ -115,7 +116,7 @@ def test_a_finished_run_is_returned_and_another_is_refused(uninterrupted, episod
     assert (again.score, again.step) == (result.score, result.step)
     with pytest.raises(ValueError, match=r"differs in config.*choose another folder"):
         train(CONFIG.model_copy(update={"seed": 1}), episodes, episodes, out, console=QUIET)
-    other = replace(episodes, observation=episodes.observation + 1.0)
+    other = replace(episodes, observation={"state": episodes.view + 1.0})
     with pytest.raises(ValueError, match="differs in val"):
         train(CONFIG, episodes, other, out, console=QUIET)
 
@@ -135,7 +136,8 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
 def killed_once(reached, episodes, folder, out, **environ):
     """Train in a process that is killed as soon as `reached()` says so."""
     data, log = folder / "data.npz", folder / "log"
-    np.savez(data, **{f.name: np.asarray(getattr(episodes, f.name)) for f in fields(Episodes)})
+    stored = {f.name: getattr(episodes, f.name) for f in fields(Episodes)}
+    np.savez(data, **stored | {"observation": episodes.view})
     command = [sys.executable, "-c", CHILD, str(data), CONFIG.model_dump_json(), str(out)]
     with log.open("wb") as file:
         child = subprocess.Popen(command, stdout=file, stderr=file, env=os.environ | {"JAX_PLATFORMS": "cpu"} | environ)

@@ -14,7 +14,8 @@ from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.least_squares import fit_least_squares
 from owm.catalogue.checkpoint import load_world_model
 from owm.checkpoint import CheckpointError, save_world_model
-from owm.data.windows import from_episodes, history_of
+from owm.data import windows as cut
+from owm.data.windows import from_episodes
 from owm.interface import History
 from owm.model.backbones import BACKBONES
 from owm.model.config import ModelConfig, preset
@@ -68,10 +69,15 @@ def errors():
     return jax.jit(jax.vmap(view_error))
 
 
+def history_of(views, action, length, context):
+    """The history of a window of views."""
+    return cut.history_of({"state": views}, action, length, context)
+
+
 @pytest.fixture(scope="module")
 def window(episodes):
     windows = episodes.windows(8 + DEPTH, 1, seed=5)
-    return windows.observation[0], windows.action[0]
+    return windows.observation["state"][0], windows.action[0]
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +154,7 @@ def test_what_is_not_valid_cannot_matter(model, window, rolled):
     observation, action = window
     history = history_of(observation, action, 8, 3)
     spoiled = History(
-        observation=history.observation.at[1:5].add(1.0),
+        observation={"state": history.observation["state"].at[1:5].add(1.0)},
         action=history.action.at[:5].add(100.0),
         valid=history.valid,
     )
@@ -164,7 +170,7 @@ def test_observing_equals_encoding_the_longer_history(model, window, encode, ste
     state = encode(model.params, history_of(observation, action, 8, 8))
     observe = jax.jit(model.observe)
     for i in (8, 9):
-        state = observe(model.params, state, action[i - 1], observation[i])
+        state = observe(model.params, state, action[i - 1], {"state": observation[i]})
     whole = jax.jit(model.encode)(model.params, history_of(observation, action, 10, 10))
     for k in range(9, 13):
         state, whole = (step(model.params, None, action[k], s) for s in (state, whole))
@@ -199,7 +205,7 @@ def test_untrained_model_is_its_least_squares_skip_from_the_filtered_start(
     history = history_of(observation, action, 8, 8)
     a = rolled(untrained.params, history, action[7:])
     start = to_view(encode(untrained.params, history).carry.motion)
-    history = history._replace(observation=history.observation.at[-1].set(start))
+    history = history._replace(observation={"state": history.observation["state"].at[-1].set(start)})
     b = jax.jit(lambda: roll_out(baseline, baseline.params, history, action[7:]))()
     assert float(jnp.abs(errors(a, b)).max()) < 1e-4
 

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple, Protocol
 
-from jaxtyping import Array, Bool, Float, Key, PyTree
+from jaxtyping import Array, Bool, Float, Key, PyTree, Shaped
 
 
 class History(NamedTuple):
@@ -12,14 +12,14 @@ class History(NamedTuple):
     `valid` is False there; the last entry is always valid.
 
     Attributes:
-        observation: measured 13-number relative views (position m, velocity m/s in the station frame, scalar-first
-            unit quaternion body to station, body rate rad/s), `dt` apart.
+        observation: parts by the names of their sensors, `dt` apart; "state" is the measured relative view, as
+            `owm_envs.view.View` takes it apart.
         action: body force (N) and torque (N m) held from one measurement to the next: `action[i]` took
             `observation[i]` to `observation[i + 1]`.
         valid: which measurements are real.
     """
 
-    observation: Float[Array, "H 13"]
+    observation: dict[str, Shaped[Array, "H ..."]]
     action: Float[Array, "H-1 6"]
     valid: Bool[Array, "H"]
 
@@ -46,8 +46,8 @@ class WorldModel(Protocol):
     def step(self, params: PyTree, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Any) -> Any:
         """Predict one step of `dt` under a held action; `key=None` gives the deterministic prediction."""
 
-    def observe(self, params: PyTree, state: Any, action: Float[Array, "6"], observation: Float[Array, "13"]) -> Any:
-        """Advance by one executed action and the measurement that followed it."""
+    def observe(self, params: PyTree, state: Any, action: Float[Array, "6"], observation: dict[str, Array]) -> Any:
+        """Advance by one executed action and the observation, by parts, that followed it."""
 
     def decode(self, params: PyTree, state: Any) -> dict[str, Array]:
-        """Read a state out as `{stream: value}`; the stream `"state"` is the 13-number view in the station frame."""
+        """Read a state out as parts, named as an observation's; "state" is the 13-number view in the station frame."""

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, Key
 from owm.checkpoint import Contents
 from owm.interface import History
 from owm.motion.kinematics import Motion, advance, to_motion, to_view
+from owm_envs.task.sensors import STATE
 
 
 @dataclass(frozen=True)
@@ -31,17 +32,18 @@ class ConstantVelocity:
 
     def encode(self, params: tuple[()], history: History) -> Motion:
         """Start from the last measurement."""
-        return to_motion(history.observation[-1], history.observation[-1])
+        view = history.observation[STATE][-1]
+        return to_motion(view, view)
 
     def step(self, params: tuple[()], key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion) -> Motion:
         """Coast for one step."""
         return advance(state, jnp.zeros_like(state.anchor[:6]), self.dt)
 
     def observe(
-        self, params: tuple[()], state: Motion, action: Float[Array, "6"], observation: Float[Array, "13"]
+        self, params: tuple[()], state: Motion, action: Float[Array, "6"], observation: dict[str, Array]
     ) -> Motion:
         """Forget the past."""
-        return to_motion(observation, observation)
+        return to_motion(observation[STATE], observation[STATE])
 
     def decode(self, params: tuple[()], state: Motion) -> dict[str, Array]:
         """Return the view in the station frame."""

@@ -17,6 +17,7 @@ from owm.interface import History
 from owm.motion.kinematics import displaced, view_error
 from owm_envs.config import DockingConfig, Fidelity, load_config
 from owm_envs.config.params import NoiseParams, params_from_config
+from owm_envs.task.sensors import STATE
 
 HELD_COMMANDS = (5e-5, 5e-6, 2e-6, 1e-7)
 """Errors of a 0.25 s step whose command is held, per axis: position m, velocity m/s, attitude rad, rate rad/s; at least
@@ -144,8 +145,9 @@ class ErrorStateEKF:
             ), None
 
         # Measurements before the first valid one are copies of it, so steps count from there.
-        rest = (history.action, history.observation[1:], history.valid[:-1])
-        return jax.lax.scan(advance, self.init(params, history.observation[0]), rest)[0]
+        views = history.observation[STATE]
+        rest = (history.action, views[1:], history.valid[:-1])
+        return jax.lax.scan(advance, self.init(params, views[0]), rest)[0]
 
     def step(
         self, params: FilterParams, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Belief
@@ -159,10 +161,10 @@ class ErrorStateEKF:
         return Belief(displaced(belief.view, error), jnp.zeros_like(factor))
 
     def observe(
-        self, params: FilterParams, state: Belief, action: Float[Array, "6"], observation: Float[Array, "13"]
+        self, params: FilterParams, state: Belief, action: Float[Array, "6"], observation: dict[str, Array]
     ) -> Belief:
         """Predict over one executed action and correct by the measurement that followed it."""
-        return self.update(params, self.predict(params, state, action), observation)
+        return self.update(params, self.predict(params, state, action), observation[STATE])
 
     def decode(self, params: FilterParams, state: Belief) -> dict[str, Array]:
         """Return the mean in the station frame, and the covariance of its 12 errors."""

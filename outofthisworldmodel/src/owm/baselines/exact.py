@@ -13,6 +13,7 @@ from owm.interface import History
 from owm_envs.config import FIDELITIES, DockingConfig, Fidelity, load_config
 from owm_envs.config.params import ChaserParams, ChiefParams, params_from_config
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState
+from owm_envs.task.sensors import STATE
 from owm_envs.words import unknown
 
 
@@ -77,7 +78,7 @@ class ExactDynamics:
         Raises:
             RuntimeError: float64 is needed and JAX's 64-bit mode is off.
         """
-        return self.start(params, params.chief.epoch, history.observation[-1])
+        return self.start(params, params.chief.epoch, history.observation[STATE][-1])
 
     def step(
         self, params: ExactParams, key: Key[Array, ""] | None, action: Float[Array, "6"], state: PhysicalState
@@ -91,11 +92,11 @@ class ExactDynamics:
         params: ExactParams,
         state: PhysicalState,
         action: Float[Array, "6"],
-        observation: Float[Array, "13"],
+        observation: dict[str, Array],
     ) -> PhysicalState:
         """Start again from the measurement, one step later."""
         epoch = jnp.stack(normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed + self.dt))
-        return self.start(params, epoch, observation)
+        return self.start(params, epoch, observation[STATE])
 
     def decode(self, params: ExactParams, state: PhysicalState) -> dict[str, Array]:
         """Return the view in the station frame."""

@@ -9,6 +9,7 @@ from owm.data.windows import Episodes
 from owm.interface import History
 from owm.motion.kinematics import Motion, to_motion, to_view
 from owm.motion.linear import LinearMap, fit_linear_map, linear_advance
+from owm_envs.task.sensors import STATE
 
 
 @dataclass(frozen=True)
@@ -34,17 +35,18 @@ class LeastSquares:
 
     def encode(self, params: LinearMap, history: History) -> Motion:
         """Start from the last measurement."""
-        return to_motion(history.observation[-1], history.observation[-1])
+        view = history.observation[STATE][-1]
+        return to_motion(view, view)
 
     def step(self, params: LinearMap, key: Key[Array, ""] | None, action: Float[Array, "6"], state: Motion) -> Motion:
         """Apply the map for one step; deterministic with or without a key."""
         return linear_advance(params, state, action, self.dt)
 
     def observe(
-        self, params: LinearMap, state: Motion, action: Float[Array, "6"], observation: Float[Array, "13"]
+        self, params: LinearMap, state: Motion, action: Float[Array, "6"], observation: dict[str, Array]
     ) -> Motion:
         """Forget the past."""
-        return to_motion(observation, observation)
+        return to_motion(observation[STATE], observation[STATE])
 
     def decode(self, params: LinearMap, state: Motion) -> dict[str, Array]:
         """Return the view in the station frame."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from owm.data.windows import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.reader import dataset_folder, read, read_info
@@ -23,7 +23,7 @@ RATE = 20
 class Recording(NamedTuple):
     """One flight as `from_episodes` takes it; `stride` frames are a step of the model."""
 
-    state: Float[np.ndarray, "T+1 13"]
+    observation: dict[str, Shaped[np.ndarray, "T+1 ..."]]
     true_state: Float[np.ndarray, "T+1 13"]
     action: Float[np.ndarray, "T 6"]
     policy: str
@@ -34,7 +34,7 @@ class Recording(NamedTuple):
 def recorded(episode: Episode, stride: int = STRIDE) -> Recording:
     """Return a flight as training takes it."""
     return Recording(
-        episode.observation["state"],
+        episode.observation,
         episode.true_state,
         episode.action,
         episode.policy_name,

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Shaped
 
 from owm.interface import History
+from owm_envs.task.sensors import STATE
 
 STRIDE = 5
 """20 Hz frames in one model step of 0.25 s."""
@@ -23,18 +24,19 @@ class Windows(NamedTuple):
     """A batch of equally long cuts of episodes, none of which crosses an episode's end.
 
     Attributes:
-        observation: measured views, `dt` apart.
+        observation: parts by name, `dt` apart; "state" is the measured view.
         action: mean body force (N) and torque (N m) between one view and the next.
-        truth: noiseless views; equal to `observation` where the recording has none.
+        truth: noiseless views; the measured ones where the recording has none.
     """
 
-    observation: Float[Array, "B L 13"]
+    observation: dict[str, Shaped[Array, "B L ..."]]
     action: Float[Array, "B L-1 6"]
     truth: Float[Array, "B L 13"]
 
     def last(self, length: int) -> "Windows":
         """The last `length` views of each."""
-        return Windows(self.observation[:, -length:], self.action[:, 1 - length :], self.truth[:, -length:])
+        observation = {name: values[:, -length:] for name, values in self.observation.items()}
+        return Windows(observation, self.action[:, 1 - length :], self.truth[:, -length:])
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Episodes:
     """Episodes at the model's rate, one after the other along the first axis.
 
     Attributes:
-        observation: (N, 13) measured views, the quaternion continuous along each track.
+        observation: parts (N, ...) by name; "state" is the measured view, its quaternion continuous along each track.
         truth: (N, 13) noiseless views.
         action: (N, 6) mean action from a view to the next; the last row of a track is zero and never used.
         track: (N,) which track a row belongs to. A recording gives one track per phase at which the five-frame
@@ -53,7 +55,7 @@ class Episodes:
         dt: seconds between rows.
     """
 
-    observation: np.ndarray
+    observation: dict[str, np.ndarray]
     truth: np.ndarray
     action: np.ndarray
     track: np.ndarray
@@ -64,6 +66,11 @@ class Episodes:
 
     def __len__(self) -> int:
         return len(self.policies)
+
+    @property
+    def view(self) -> Float[np.ndarray, "N 13"]:
+        """The measured views."""
+        return self.observation[STATE]
 
     @property
     def steps(self) -> int:
@@ -78,7 +85,8 @@ class Episodes:
     def digest(self) -> str:
         """Return a fingerprint of the numbers."""
         sha = sha256()
-        for array in (self.observation, self.action, self.track):
+        further = [self.observation[name] for name in sorted(self.observation) if name != STATE]
+        for array in (self.view, self.action, self.track, *further):
             sha.update(np.ascontiguousarray(array).tobytes())
         return sha.hexdigest()[:16]
 
@@ -92,7 +100,8 @@ class Episodes:
         kept = np.flatnonzero(keep)
         return replace(
             self,
-            **{name: getattr(self, name)[rows] for name in ("observation", "truth", "action", "track")},
+            observation={name: values[rows] for name, values in self.observation.items()},
+            **{name: getattr(self, name)[rows] for name in ("truth", "action", "track")},
             episode=number[self.episode[rows]],
             policies=tuple(self.policies[i] for i in kept),
             ports=tuple(self.ports[i] for i in kept),
@@ -118,42 +127,51 @@ class Episodes:
         if count is not None and count < len(starts):
             starts = np.sort(np.random.default_rng(seed).choice(starts, count, replace=False))
         rows = starts[:, None] + np.arange(length)
-        return Windows(
-            jnp.asarray(self.observation[rows]), jnp.asarray(self.action[rows[:, :-1]]), jnp.asarray(self.truth[rows])
-        )
+        observation = {name: jnp.asarray(values[rows]) for name, values in self.observation.items()}
+        return Windows(observation, jnp.asarray(self.action[rows[:, :-1]]), jnp.asarray(self.truth[rows]))
 
 
 def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "float32") -> Episodes:
     """Resample recorded episodes to the model's rate.
 
     Args:
-        episodes: objects with `state` (T + 1, 13) measured views and `action` (T, 6), or (T + 1, 6) whose last, padded
-            row is dropped; optionally `true_state` (T + 1, 13), `policy`, `port`, and `stride`, the frames in one step
-            of the model, `STRIDE` unless given.
+        episodes: objects with `observation`, parts (T + 1, ...) by name of which "state" holds measured views
+            (T + 1, 13), and `action` (T, 6), or (T + 1, 6) whose last, padded row is dropped; optionally `true_state`
+            (T + 1, 13), `policy`, `port`, and `stride`, the frames in one step of the model, `STRIDE` unless given.
         phases: 1 to 5; at how many offsets the grid starts, of as many frames as are in a step. Every phase is a
             further track with noise and action means of its own.
-        dtype: of the stored arrays.
+        dtype: of the stored views and actions; further parts keep theirs.
 
     Raises:
-        ValueError: on a wrong shape, a number that is not finite, or no episode long enough for one transition.
+        ValueError: on a wrong shape, a number that is not finite, other parts than in the first episode, or no episode
+            long enough for one transition.
     """
     if not 1 <= phases <= STRIDE:
         raise ValueError(f"phases must be 1 to {STRIDE}, got {phases}")
     observation, truth, action, track, source = [], [], [], [], []
     policies, ports = [], []
+    further: dict[str, list[np.ndarray]] = {}
     tracks = 0
     for number, episode in enumerate(episodes):
-        seen = np.asarray(episode.state)
+        parts = {name: np.asarray(values) for name, values in episode.observation.items()}
+        seen = parts.pop(STATE)
         act = np.asarray(episode.action)
         true = getattr(episode, "true_state", None)
         true = seen if true is None else np.asarray(true)
         if seen.ndim != 2 or seen.shape[1] != 13 or true.shape != seen.shape:
-            raise ValueError(f"episode {number}: state must be (T + 1, 13), got {seen.shape} with truth {true.shape}")
+            raise ValueError(
+                f"episode {number}: the state part must be (T + 1, 13), got {seen.shape} with truth {true.shape}"
+            )
         act = act[: len(seen) - 1]
         if act.shape != (len(seen) - 1, 6):
             raise ValueError(f"episode {number}: action must be ({len(seen) - 1}, 6), got {np.shape(episode.action)}")
         if not (np.isfinite(seen).all() and np.isfinite(true).all() and np.isfinite(act).all()):
             raise ValueError(f"episode {number}: state, true_state and action must be finite")
+        further = further if number else {name: [] for name in parts}
+        if parts.keys() != further.keys() or any(len(values) != len(seen) for values in parts.values()):
+            raise ValueError(
+                f"episode {number}: parts must be {', '.join(['state', *further])} of {len(seen)} rows each"
+            )
         policies.append(str(getattr(episode, "policy", "")))
         ports.append(str(getattr(episode, "port", "")))
         stride = getattr(episode, "stride", STRIDE)
@@ -164,6 +182,8 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
             rows = phase + stride * np.arange(steps + 1)
             mean = act[phase : phase + stride * steps].reshape(steps, stride, 6).mean(axis=1)
             observation.append(_continuous(seen[rows]).astype(dtype))
+            for name, values in parts.items():
+                further[name].append(values[rows])
             truth.append(_continuous(true[rows]).astype(dtype))
             action.append(np.concatenate([mean, np.zeros((1, 6))]).astype(dtype))
             track.append(np.full(steps + 1, tracks, np.int32))
@@ -172,7 +192,8 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
     if not observation:
         raise ValueError(f"no episode holds a transition: {len(policies)} given, {STRIDE + 1} frames needed")
     return Episodes(
-        *(np.concatenate(parts) for parts in (observation, truth, action, track, source)),
+        {STATE: np.concatenate(observation)} | {name: np.concatenate(pieces) for name, pieces in further.items()},
+        *(np.concatenate(pieces) for pieces in (truth, action, track, source)),
         policies=tuple(policies),
         ports=tuple(ports),
         dt=0.05 * STRIDE,
@@ -190,9 +211,13 @@ def _continuous(views: np.ndarray) -> np.ndarray:
 
 
 def history_of(
-    observation: Float[Array, "L 13"], action: Float[Array, "L-1 6"], length: int, context: Int[Array, ""] | int
+    observation: dict[str, Shaped[Array, "L ..."]],
+    action: Float[Array, "L-1 6"],
+    length: int,
+    context: Int[Array, ""] | int,
 ) -> History:
     """Cut the history of `length` from the start of a window, as if only its last `context` views existed."""
     first = length - jnp.asarray(context, jnp.int32)
     index = jnp.arange(length, dtype=jnp.int32)
-    return History(observation[jnp.maximum(index, first)], action[: length - 1], index >= first)
+    rows = jnp.maximum(index, first)
+    return History({name: values[rows] for name, values in observation.items()}, action[: length - 1], index >= first)

@@ -16,6 +16,7 @@ from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.streams import STREAMS, Stream
 from owm.model.transformer import Perceptron
+from owm_envs.task.sensors import STATE
 
 
 class Network(eqx.Module):
@@ -114,7 +115,7 @@ class LearnedWorldModel:
     def encode_sequence(self, params: Params, history: History) -> tuple[ModelState, Any, Float[Array, "H-1 n d"]]:
         """Encode, and also return the carries of all measurements and the backbone's output at all but the last."""
         network, statistics = params
-        carries = network.stream.follow(statistics, *history, self.dt)
+        carries = network.stream.follow(statistics, history.observation[STATE], history.action, history.valid, self.dt)
         past = jax.tree.map(lambda x: x[:-1], carries)
         tokens = jax.vmap(lambda carry, action: network.tokens(statistics, carry, action))(past, history.action)
         outputs, memory = network.backbone.sequence(tokens, history.valid[:-1])
@@ -140,13 +141,13 @@ class LearnedWorldModel:
         return ModelState(carry, memory)
 
     def observe(
-        self, params: Params, state: ModelState, action: Float[Array, "6"], observation: Float[Array, "13"]
+        self, params: Params, state: ModelState, action: Float[Array, "6"], observation: dict[str, Array]
     ) -> ModelState:
-        """Advance by one executed action and the measurement that followed it."""
+        """Advance by one executed action and the observation that followed it."""
         network, statistics = params
-        observation, action = _cast(params, (observation, action))
+        view, action = _cast(params, (observation[STATE], action))
         _, memory = self.attend(params, action, state)
-        return ModelState(network.stream.observe(statistics, state.carry, action, observation, self.dt), memory)
+        return ModelState(network.stream.observe(statistics, state.carry, action, view, self.dt), memory)
 
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""

@@ -90,7 +90,7 @@ def transition_rows(episodes: Episodes, limit: int = FIT_ROWS) -> Int[np.ndarray
 def transitions(episodes: Episodes, limit: int = FIT_ROWS) -> tuple[Array, Array, Array]:
     """Return up to `limit` evenly spread transitions: views before, views after, actions between."""
     rows = transition_rows(episodes, limit)
-    views = jnp.asarray(episodes.observation)
+    views = jnp.asarray(episodes.view)
     return views[rows], views[rows + 1], jnp.asarray(episodes.action)[rows]
 
 
@@ -150,7 +150,7 @@ def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
         station=solution[21:].reshape(3, 6) / where if motion else np.zeros((3, 6)),
         gyroscopic=rate[7:].T / size if motion else np.zeros((3, 15)),
     )
-    return jax.tree.map(lambda x: jnp.asarray(x, episodes.observation.dtype), fitted)
+    return jax.tree.map(lambda x: jnp.asarray(x, episodes.view.dtype), fitted)
 
 
 def _weighted_fit(

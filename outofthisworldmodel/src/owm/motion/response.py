@@ -233,7 +233,7 @@ def observe(
 
 def fit_vehicles(episodes: Episodes, linear: LinearMap) -> VehicleStatistics:
     """Choose the process variances that predict best, and measure noise, shape and how far vehicles differ."""
-    dtype = episodes.observation.dtype
+    dtype = episodes.view.dtype
     largest = np.abs(np.asarray(linear.action)).max(axis=1, keepdims=True)
     typical = np.sqrt(np.mean(np.square(episodes.action, dtype=np.float64)))
     response = np.concatenate([np.tile(largest, 12), np.zeros((6, 3)), 0.03 * typical * largest], axis=1)

@@ -227,7 +227,7 @@ def follow_windows(
 def fit_filter(episodes: Episodes, linear: LinearMap) -> FilterStatistics:
     """Choose the process variances that predict best, and measure noise and shape."""
     flown = (linear, *fit_windows(episodes, FIT_VIEWS, FIT_WINDOWS), episodes.dt)
-    one = jnp.ones(12, episodes.observation.dtype)
+    one = jnp.ones(12, episodes.view.dtype)
     statistics = choose_process(_late_squares, FilterStatistics(one[:4], one[:4], one), *flown)
     return statistics._replace(
         shape=root_mean_square(follow_windows(LOCAL_LEVEL, statistics, *flown).innovation[:, 1:])
@@ -250,7 +250,7 @@ def fit_windows(episodes: Episodes, views: int, most: int) -> tuple[Float[Array,
     views = min(views, episodes.longest)
     starts = episodes.starts(views)
     rows = starts[:: -(-len(starts) // most)][:, None] + np.arange(views)
-    return jnp.asarray(episodes.observation[rows]), jnp.asarray(episodes.action[rows[:, :-1]])
+    return jnp.asarray(episodes.view[rows]), jnp.asarray(episodes.action[rows[:, :-1]])
 
 
 def choose_process(squares: Callable[..., tuple[Array, Array]], statistics: _Statistics, *flown: Any) -> _Statistics:

@@ -99,8 +99,8 @@ def train(
     devices = _devices(found["devices"] if found else config.devices)
     mesh = batch_mesh(devices)
     statistics = STREAMS[config.model.stream].fit(episodes_train)
-    dtype = jnp.asarray(episodes_train.observation[:1]).dtype
-    rows = (jnp.asarray(episodes_train.observation), jnp.asarray(episodes_train.action))
+    rows = jax.tree.map(jnp.asarray, (episodes_train.observation, episodes_train.action))
+    dtype = rows[1].dtype
     depths = {depth for _, depth in config.rollouts}
     starts = {depth: jnp.asarray(episodes_train.starts(config.model.history_length + depth)) for depth in depths}
     windows = len(starts[max(depths)])

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key, Shaped
 
 from owm.data.windows import history_of
 from owm.model.streams import Stream
 from owm.model.world_model import LearnedWorldModel, ModelState, Params
+from owm_envs.task.sensors import STATE
 
 
 class Losses(NamedTuple):
@@ -62,7 +63,7 @@ def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
 def window_losses(
     model: LearnedWorldModel,
     params: Params,
-    observation: Float[Array, "L 13"],
+    observation: dict[str, Shaped[Array, "L ..."]],
     action: Float[Array, "L-1 6"],
     context: Int[Array, ""] | int,
     teacher: Float[Array, ""] | float,
@@ -73,7 +74,7 @@ def window_losses(
     Args:
         model: gives configuration and stream.
         params: weights and statistics.
-        observation: measured views, of which the first `H` are the history, `F` more follow.
+        observation: parts by name, of which the first `H` rows are the history, `F` more follow.
         action: between the views.
         context: how many of the `H` measurements the model may see.
         teacher: probability, at every step by itself, of continuing from the measurement instead of the prediction.
@@ -81,7 +82,7 @@ def window_losses(
     """
     network, statistics = params
     stream, dt, length = network.stream, model.dt, model.history_length
-    steps = len(observation) - length
+    steps = len(action) + 1 - length
     # The distribution of a measurement given the measurements before it ...
     whole = history_of(observation, action, length + steps, context + steps)
     _, measured, outputs = model.encode_sequence(params, whole)
@@ -103,8 +104,10 @@ def window_losses(
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.
     advance = jax.checkpoint(advance, prevent_cse=False)
-    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[1:]))
+    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[STATE][1:]))
     state = model.encode(params, history_of(observation, action, length, context))
     _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
-    lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(measured, whole.observation)
+    lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(
+        measured, whole.observation[STATE]
+    )
     return Losses(flow, change, jnp.mean(decode), jnp.mean(lost))

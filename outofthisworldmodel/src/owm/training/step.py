@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, Int, PyTree, Shaped
 
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.training.config import TrainConfig
@@ -76,7 +76,7 @@ def train_chunk(
     network: Network,
     optimizer: PyTree,
     statistics: PyTree,
-    rows: tuple[Float[Array, "N 13"], Float[Array, "N 6"]],
+    rows: tuple[dict[str, Shaped[Array, "N ..."]], Float[Array, "N 6"]],
     starts: Int[Array, "S"],
     step: Int[Array, ""],
     *,
@@ -92,7 +92,7 @@ def train_chunk(
         network: weights to change.
         optimizer: its state.
         statistics: held fixed.
-        rows: every measured view and action of the training episodes.
+        rows: every observation, by parts, and action of the training episodes.
         starts: rows at which windows may start.
         step: number of the first step.
         depth: `F`.
@@ -114,7 +114,7 @@ def train_chunk(
                 network = eqx.tree_at(lambda tree: tree.stream, low, network.stream)
             losses = jax.vmap(
                 lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d)
-            )(observation[index], action[index[:, :-1]], context, draws)
+            )(jax.tree.map(lambda part: part[index], observation), action[index[:, :-1]], context, draws)
             losses = jax.tree.map(jnp.mean, losses)
             # What `change` trains, no other term does.
             weighted = Losses(config.flow_weight, 1.0, config.decode_weight, config.round_trip_weight)
@@ -134,7 +134,7 @@ def train_chunk(
 
     def one_step(carry: tuple[Network, PyTree], step: Array) -> tuple[tuple[Network, PyTree], tuple[Losses, Array]]:
         network, optimizer = carry
-        dtype = rows[0].dtype
+        dtype = rows[1].dtype
         key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
         draws = draw(key, config.batch, length - 1, depth, network.stream, dtype)
         first = starts[pick(draws.start, starts.shape[0])]

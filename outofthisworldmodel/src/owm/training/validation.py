@@ -13,6 +13,7 @@ from owm.motion.kinematics import view_error
 from owm.scores.calibration import sample_views
 from owm.scores.prediction import window_errors
 from owm.training.config import TrainConfig
+from owm_envs.task.sensors import STATE
 
 SCORE_UNITS = (0.1, 0.05, float(np.deg2rad(1.0)), float(np.deg2rad(0.1)))
 """Position m, velocity m/s, attitude rad and rate rad/s that weigh alike in the validation score."""
@@ -46,14 +47,14 @@ def energy_scores(model: LearnedWorldModel, params: Params, windows: Windows) ->
     def norms(a: Array, b: Array) -> Array:
         return jnp.linalg.norm(jax.vmap(view_error)(a, b).reshape(-1, 4, 3), axis=-1)
 
-    def one(key: Array, observation: Array, action: Array) -> Array:
+    def one(key: Array, observation: dict[str, Array], action: Array) -> Array:
         length = model.history_length
         history = history_of(observation, action, length, length)
         first, second = sample_views(model, params, key, history, action[length - 1 :], 2)
-        measured = observation[length:]
+        measured = observation[STATE][length:]
         return 0.5 * (norms(first, measured) + norms(second, measured) - norms(first, second))
 
-    keys = jax.random.split(jax.random.key(0), windows.observation.shape[0])
+    keys = jax.random.split(jax.random.key(0), len(windows.action))
     return jax.vmap(one)(keys, windows.observation, windows.action)
 
 
@@ -70,7 +71,7 @@ def validate(model: LearnedWorldModel, params: Params, sets: dict[str, Windows])
 
     line = {}
     for name, windows in sets.items():
-        context = jnp.full(windows.observation.shape[0], model.history_length, jnp.int32)
+        context = jnp.full(len(windows.action), model.history_length, jnp.int32)
         _, error = window_errors(model, params, windows, context)
         error = np.asarray(error, np.float64)
         last = error[:, -1].mean(axis=0)

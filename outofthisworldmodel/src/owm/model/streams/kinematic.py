@@ -75,9 +75,9 @@ class KinematicStream(eqx.Module):
 
         def size(x: np.ndarray, axis: int | None = None) -> Array:
             mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
-            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.observation.dtype)
+            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.view.dtype)
 
-        view = episodes.observation
+        view = episodes.view
         return Statistics(
             linear,
             cls.filter.fit(episodes, linear),
