@@ -1,7 +1,12 @@
 """Fly episodes in batches, as one compiled program, and record them chunk by chunk."""
 
+import os
+import pickle
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -132,29 +137,49 @@ def _chunks(env, params, policies, keys, ports, which, length, progress) -> Iter
         del made
 
 
-def episodes(chunks: Iterable[Chunk]) -> Iterator[Episode]:
+def episodes(chunks: Iterable[Chunk], *, spill: str | os.PathLike | None = None) -> Iterator[Episode]:
     """Whole episodes in the order of the slots, each as soon as it and all before it have ended.
 
     Of a chunk only the running episodes' own frames are kept, in the types that an `Episode` has.
+
+    Args:
+        spill: folder for what is kept until its episode is handed out, so that memory holds one chunk and one episode,
+            however many and long they are; in memory when None. It is emptied at the end.
     """
-    pieces: dict[int, list[dict[str, Any]]] = {}
-    whole: dict[int, Episode] = {}
-    ahead = 0
-    for chunk in chunks:
-        if not pieces and not whole and not ahead:
-            pieces = {slot: [] for slot in range(len(chunk.policy))}
-        length = len(chunk.decisions.outcome)
-        stops = dict(zip(chunk.ended.tolist(), chunk.stop.tolist()))
-        for slot, kept in pieces.items():
-            kept.append(_piece(chunk, slot, stops.get(slot, length)))
-        for row, (slot, stop) in enumerate(stops.items()):
-            final = {name: value[row] for name, value in chunk.info.items()}
-            outcome = int(chunk.decisions.outcome[stop - 1, slot])
-            whole[slot] = _episode(pieces.pop(slot), outcome, final, int(chunk.policy[slot]))
-        del chunk
-        while ahead in whole:
-            yield whole.pop(ahead)
-            ahead += 1
+    with tempfile.TemporaryDirectory(dir=spill) if spill else nullcontext() as folder:
+        running: dict[int, list[Any]] | None = None
+        whole: dict[int, tuple] = {}
+        ahead = 0
+        for number, chunk in enumerate(chunks):
+            if running is None:
+                running = {slot: [] for slot in range(len(chunk.policy))}
+            length = len(chunk.decisions.outcome)
+            stops = dict(zip(chunk.ended.tolist(), chunk.stop.tolist()))
+            for slot, kept in running.items():
+                piece = _piece(chunk, slot, stops.get(slot, length))
+                kept.append(piece if folder is None else _put_aside(Path(folder, f"{slot}-{number}"), piece))
+            for row, (slot, stop) in enumerate(stops.items()):
+                final = {name: value[row] for name, value in chunk.info.items()}
+                outcome = int(chunk.decisions.outcome[stop - 1, slot])
+                whole[slot] = running.pop(slot), outcome, final, int(chunk.policy[slot])
+            del chunk
+            while ahead in whole:
+                pieces, *about = whole.pop(ahead)
+                yield _episode([piece if folder is None else _take_back(piece) for piece in pieces], *about)
+                ahead += 1
+
+
+def _put_aside(path: Path, piece: dict[str, Any]) -> Path:
+    with open(path, "wb") as file:
+        pickle.dump(piece, file, protocol=5)
+    return path
+
+
+def _take_back(path: Path) -> dict[str, Any]:
+    with open(path, "rb") as file:
+        piece = pickle.load(file)
+    path.unlink()
+    return piece
 
 
 def _piece(chunk: Chunk, slot: int, stop: int) -> dict[str, Any]:

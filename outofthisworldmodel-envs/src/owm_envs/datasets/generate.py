@@ -6,6 +6,7 @@ import math
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -147,7 +148,10 @@ def generate(
         summary = {}
         writers = {}
         parts = _parts(sensors)
-        recorder = _Recorder(config, request, sensors, announce, progress)
+        spill = partial / "spill"  # what a killed run left there is of no use
+        shutil.rmtree(spill, ignore_errors=True)
+        spill.mkdir()
+        recorder = _Recorder(config, request, sensors, spill, announce, progress)
         for split in ("train", "val"):
             writers[split] = SplitWriter(partial / split, 1 / config.decision_dt, parts)
             recorder.record(split, writers[split], flights[split], targets[split], least[split])
@@ -155,6 +159,7 @@ def generate(
         for split, writer in writers.items():
             writer.finish(statistics)
             summary[split] = _summary(partial / split, writer)
+        shutil.rmtree(spill)
         (partial / "config.toml").write_text(config.to_toml(), encoding="utf-8")
         (partial / "README.md").write_text(dataset_card(config, request, summary, parts), encoding="utf-8")
         write_json({**settings, "policies": list(POLICY_NAMES), "result": summary}, partial / "generation.json")
@@ -213,8 +218,8 @@ def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dic
 class _Recorder:
     """Flies batches of the planned flights; the simulator is built and compiled at the first one needed."""
 
-    def __init__(self, config, request, sensors, announce, progress):
-        self.config, self.request, self.sensors = config, request, sensors
+    def __init__(self, config, request, sensors, spill, announce, progress):
+        self.config, self.request, self.sensors, self.spill = config, request, sensors, spill
         self.announce, self.progress = announce, progress
         self.longest = config.horizon_decisions
         # Episodes that end early are about a seventh; batches of equal size waste the fewest flights.
@@ -238,13 +243,8 @@ class _Recorder:
                 share = min(1.0, steps / self.longest)
                 self.progress(Progress(split, int(min(before, target) + share * remaining), target))
 
-            kept: list[Episode] = []
-            # In seed order, never those that ended first: that would favour collisions.
-            for episode in self._fly(split, writer.episodes, batch, flown):
-                if before + sum(map(len, kept)) >= target and writer.episodes + len(kept) >= least:
-                    break
-                kept.append(episode)
-            writer.write(kept)
+            with closing(self._fly(split, writer.episodes, batch, flown)) as flown_by:
+                writer.write(_enough(flown_by, target - before, least - writer.episodes))
         self.progress(Progress(split, target, target))
 
     def _fly(self, split, first, batch, flown):
@@ -271,7 +271,19 @@ class _Recorder:
             which=np.array([names.index(flight.policy) for flight in batch]),
             progress=flown,
         )
-        return episodes(chunks)
+        return episodes(chunks, spill=self.spill)
+
+
+def _enough(episodes: Iterator[Episode], transitions: int, least: int) -> Iterator[Episode]:
+    """The first episodes that hold so many transitions, and at least so many of them.
+
+    In seed order, never those that ended first: that would favour collisions.
+    """
+    for count, episode in enumerate(episodes):
+        if transitions <= 0 and count >= least:
+            return
+        transitions -= len(episode)
+        yield episode
 
 
 def _summary(folder: Path, writer: SplitWriter) -> dict:

@@ -1,9 +1,10 @@
 """Write one split as a LeRobot v3 dataset: a data file and an episode file for each batch, metadata at the end."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -48,42 +49,49 @@ class SplitWriter:
         """Transitions written: every episode's last frame starts none."""
         return self.frames - self.episodes
 
-    def write(self, episodes: Sequence[Episode]) -> None:
-        """Append a batch of whole episodes."""
-        chunk, file = divmod(self.batches, FILES_PER_CHUNK)
-        tables, rows, statistics = [], [], []
-        index = self.frames
-        for number, episode in enumerate(episodes, start=self.episodes):
-            columns = columns_from_episode(episode, episode_index=number, first_index=index, fps=self.fps)
-            tables.append(pa.table({name: _arrow(values) for name, values in columns.items()}))
-            statistics.append(episode_statistics(columns))
-            length = len(episode) + 1
-            rows.append(
-                {
-                    "episode_index": number,
-                    "tasks": [TASKS[episode.port]],
-                    "length": length,
-                    "data/chunk_index": chunk,
-                    "data/file_index": file,
-                    "dataset_from_index": index,
-                    "dataset_to_index": index + length,
-                    "meta/episodes/chunk_index": chunk,
-                    "meta/episodes/file_index": file,
-                    **{
-                        f"stats/{name}/{key}": value.tolist()
-                        for name, part in statistics[-1].items()
-                        for key, value in part.items()
-                    },
+    def write(self, episodes: Iterable[Episode]) -> None:
+        """Append a batch of whole episodes, one row group each: only one of them is held at a time."""
+        rows: list[dict[str, Any]] = []
+        statistics: list[Statistics] = []
+
+        def tables() -> Iterator[pa.Table]:
+            for episode in episodes:
+                columns, row = self._laid_out(episode, rows)
+                rows.append(row)
+                statistics.append(episode_statistics(columns))
+                rows[-1] |= {
+                    f"stats/{name}/{key}": value.tolist()
+                    for name, part in statistics[-1].items()
+                    for key, value in part.items()
                 }
-            )
-            index += length
-        _write_parquet(pa.concat_tables(tables), self._path("data", self.batches))
+                yield pa.table({name: _arrow(values) for name, values in columns.items()})
+
+        _write_parquet(tables(), self._path("data", self.batches))
         # The episodes file is the batch's seal: without it the data file is written again.
-        _write_parquet(pa.Table.from_pylist(rows), self._path("meta/episodes", self.batches))
+        _write_parquet([pa.Table.from_pylist(rows)], self._path("meta/episodes", self.batches))
         self.batches += 1
-        self.episodes += len(episodes)
-        self.frames = index
+        self.episodes += len(rows)
+        self.frames = rows[-1]["dataset_to_index"]
         self._statistics += statistics
+
+    def _laid_out(self, episode: Episode, before: list[dict[str, Any]]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """An episode's columns, and its row in the episodes file; `before` are the rows of its batch so far."""
+        chunk, file = divmod(self.batches, FILES_PER_CHUNK)
+        number = self.episodes + len(before)
+        index = before[-1]["dataset_to_index"] if before else self.frames
+        length = len(episode) + 1
+        row = {
+            "episode_index": number,
+            "tasks": [TASKS[episode.port]],
+            "length": length,
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "dataset_from_index": index,
+            "dataset_to_index": index + length,
+            "meta/episodes/chunk_index": chunk,
+            "meta/episodes/file_index": file,
+        }
+        return columns_from_episode(episode, episode_index=number, first_index=index, fps=self.fps), row
 
     def statistics(self) -> Statistics:
         """Of everything written so far."""
@@ -143,11 +151,21 @@ def write_json(value: dict, path: Path) -> None:
     write_atomically(path, lambda file: file.write(json.dumps(value, indent=2) + "\n"), text=True)
 
 
-def _write_parquet(table: pa.Table, path: Path) -> None:
-    # Measured numbers do not repeat: dictionaries would only cost time.
-    repeating = [name for name, feature in FEATURES.items() if feature.shape == (1,) and name in table.column_names]
-    options = {"compression": "zstd", "compression_level": 1, "use_dictionary": repeating}
-    write_atomically(path, lambda file: pq.write_table(table, file, **options))
+def _write_parquet(tables: Iterable[pa.Table], path: Path) -> None:
+    """Write tables of one schema as the row groups of a file; at least one."""
+
+    def write(file: BinaryIO) -> None:
+        with ExitStack() as stack:
+            writer = None
+            for table in tables:
+                if writer is None:
+                    # Measured numbers do not repeat: dictionaries would only cost time.
+                    repeating = [n for n, f in FEATURES.items() if f.shape == (1,) and n in table.column_names]
+                    options = {"compression": "zstd", "compression_level": 1, "use_dictionary": repeating}
+                    writer = stack.enter_context(pq.ParquetWriter(file, table.schema, **options))
+                writer.write_table(table)
+
+    write_atomically(path, write)
 
 
 def _arrow(values: np.ndarray) -> pa.Array:
