@@ -1,3 +1,4 @@
+import tracemalloc
 import weakref
 
 import jax
@@ -9,8 +10,8 @@ from astrojax.attitude import quat_rotate
 from owm_envs import rollout as module
 from owm_envs.env import DockingEnv
 from owm_envs.policies import make_policy
+from owm_envs.rollout import Chunk, Decision, Frame, rollout
 from owm_envs.rollout import episodes as whole
-from owm_envs.rollout import rollout
 from owm_envs.task.events import Outcome
 
 CHUNK = 16
@@ -124,6 +125,47 @@ def test_no_chunk_outlives_its_turn_however_long_the_episodes(flown, horizon):
         most = max(most, sum(ref() is not None for ref in seen))
     # The one that the iterator has just handed over, and none before it.
     assert length >= horizon and most <= 1
+
+
+def made_up(slots: int, count: int, length: int = 10):
+    """Chunks of flights with pictures of 12 kB a frame, all of which end in the last."""
+    for number in range(count):
+        frames = length + (number == 0)
+        state = np.full((frames, slots, 13), number, np.float64)
+        picture = np.full((frames, slots, 64, 64, 3), number, np.uint8)
+        epoch = np.zeros((frames, slots, 2))
+        frame = Frame({"state": state.astype(np.float32), "picture": picture}, state, epoch)
+        outcome = np.zeros((length, slots), np.int32)
+        outcome[-1] = Outcome.TIMEOUT * (number == count - 1)
+        decisions = Decision(np.zeros((length, slots, 6)), np.zeros((length, slots)), outcome)
+        ended = np.arange(slots * (number == count - 1))
+        info = {"port": np.zeros(slots, np.int32), "goal_pose": np.zeros((slots, 7))}
+        yield Chunk(frames=frame, decisions=decisions, ended=ended, stop=np.full(len(ended), length), info=info,
+                    policy=np.zeros(slots, np.int32))  # fmt: skip
+
+
+def test_what_is_set_aside_on_disk_comes_back(tmp_path):
+    for one, other in zip(whole(made_up(3, 4)), whole(made_up(3, 4), spill=tmp_path), strict=True):
+        assert len(one) == len(other) == 40 and one.observation["picture"].shape == (41, 64, 64, 3)
+        jax.tree.map(np.testing.assert_array_equal, vars(one), vars(other))
+    assert not list(tmp_path.iterdir())
+
+
+def test_memory_is_one_chunk_and_one_episode(tmp_path):
+    def peak(slots: int) -> float:
+        """MB, of a recording of `slots` flights of 2.5 MB each."""
+        tracemalloc.start()
+        for episode in whole(made_up(slots, 20), spill=tmp_path):
+            del episode
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most / 1e6
+
+    few, many = peak(2), peak(16)
+    chunk = (
+        14 * 10 * 64 * 64 * 3 / 1e6
+    )  # what a chunk of fourteen more slots holds, once in it and once while it is made
+    assert many < few + 2.5 * chunk < 0.4 * 16 * 2.5
 
 
 @pytest.mark.parametrize(
