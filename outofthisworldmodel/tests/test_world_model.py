@@ -15,13 +15,13 @@ from owm.baselines.least_squares import fit_least_squares
 from owm.catalogue.checkpoint import load_world_model
 from owm.checkpoint import CheckpointError, save_world_model
 from owm.data.windows import from_episodes, history_of
-from owm.interface import History
+from owm.interface import History, roll_out
 from owm.model.backbones import BACKBONES
 from owm.model.config import ModelConfig, preset
 from owm.model.streams.kinematic import KinematicStream
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
-from owm.scores.prediction import prediction_error, roll_out
+from owm.scores.prediction import prediction_error
 
 CONFIG = ModelConfig(width=16, heads=2, window=5, head_width=16)
 DEPTH = 10
@@ -77,7 +77,7 @@ def window(episodes):
 @pytest.fixture(scope="module")
 def rolled(model):
     """The compiled rollout of a history under actions."""
-    return jax.jit(lambda params, history, actions: roll_out(model, params, history, actions))
+    return jax.jit(lambda params, history, actions: roll_out(model, params, model.encode(params, history), actions))
 
 
 @pytest.mark.parametrize("kind", BACKBONES)
@@ -200,7 +200,7 @@ def test_untrained_model_is_its_least_squares_skip_from_the_filtered_start(
     a = rolled(untrained.params, history, action[7:])
     start = to_view(encode(untrained.params, history).carry.motion)
     history = history._replace(observation=history.observation.at[-1].set(start))
-    b = jax.jit(lambda: roll_out(baseline, baseline.params, history, action[7:]))()
+    b = jax.jit(lambda: roll_out(baseline, baseline.params, baseline.encode(baseline.params, history), action[7:]))()
     assert float(jnp.abs(errors(a, b)).max()) < 1e-4
 
 
@@ -210,7 +210,7 @@ def test_gradient_through_a_rollout_is_finite(model, window):
     history = history_of(observation.at[:, 10:].set(0.0), action, 8, 8)
 
     def cost(actions):
-        return jnp.sum(roll_out(model, model.params, history, actions)[-1, :3])
+        return jnp.sum(roll_out(model, model.params, model.encode(model.params, history), actions)[-1, :3])
 
     gradient = jax.jit(jax.grad(cost))(jnp.zeros((4, 6), jnp.float32))
     assert bool(jnp.isfinite(gradient).all()) and float(jnp.abs(gradient).max()) > 0
@@ -290,7 +290,11 @@ def test_action_only_least_squares_moves_with_the_world_frame(episodes, window, 
             ]
         )
 
-    run = jax.jit(lambda o: roll_out(baseline, baseline.params, history_of(o, action, 8, 8), action[7:]))
+    @jax.jit
+    def run(observation):
+        start = baseline.encode(baseline.params, history_of(observation, action, 8, 8))
+        return roll_out(baseline, baseline.params, start, action[7:])
+
     move = jax.jit(jax.vmap(move))
     error = errors(move(run(observation)), run(move(observation)))
     assert float(jnp.abs(error).max()) < 1e-3

@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from astrojax.compilation import compiler_options
 from owm.interface import History, WorldModel
 from owm.planning.config import PlannerConfig
-from owm.planning.mppi import PlannerState, init_planner, plan
+from owm.planning.cost import Goal
+from owm.planning.mppi import PlannerState, Problem, init_planner, plan
 from owm_envs.config import DockingConfig
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv
@@ -271,20 +272,17 @@ class PlannerPolicy:
             if self._learner is not None:
                 params = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
             with own_flags(self._wide):  # of this thread
+                goal = Goal(self._field, np.int32(self._rows[self._ports[slot]]), self._goals[self._ports[slot]])
                 output = replan(
                     self.model,
                     self.config.shape,
-                    params,
-                    self._tuning,
-                    self._field,
-                    np.int32(self._rows[self._ports[slot]]),
-                    self._goals[self._ports[slot]],
+                    Problem(params, self._tuning, goal),
                     History(state.observation[slot], state.action[slot], state.valid[slot]),
-                    committed[slot],
                     jax.tree.map(lambda x: x[slot], state.planner),
-                    self._seed,
-                    np.uint32(slot),
-                    state.replans[slot],
+                    committed=committed[slot],
+                    seed=self._seed,
+                    slot=np.uint32(slot),
+                    count=state.replans[slot],
                 )
                 output = jax.device_get(output)
             self.seconds.append(time.perf_counter() - began)
@@ -312,9 +310,9 @@ class PlannerPolicy:
 def replan_slot() -> Callable[..., tuple[Float[Array, "C 6"], PlannerState]]:
     """One slot's replan, compiled once per model and shape; its key follows from seed, slot and count."""
 
-    def replan(model, shape, params, tuning, field, port, goal, history, committed, planner, seed, slot, count):
+    def replan(model, shape, problem, history, state, *, committed, seed, slot, count):
         key = jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), slot), count)
-        return plan(model, shape, params, tuning, field, port, goal, history, committed, planner, key)
+        return plan(model, shape, problem, history, state, committed=committed, key=key)
 
     return jax.jit(replan, static_argnums=(0, 1), compiler_options=compiler_options(libraries=False))
 
