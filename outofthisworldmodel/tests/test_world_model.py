@@ -19,7 +19,7 @@ from owm.interface import History, roll_out
 from owm.model.backbones import BACKBONES
 from owm.model.config import ModelConfig, preset
 from owm.model.streams.kinematic import KinematicStream
-from owm.model.world_model import LearnedWorldModel, Network, Params
+from owm.model.world_model import RENAMED, LearnedWorldModel, Network, Params
 from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
 from owm.scores.prediction import prediction_error
 
@@ -98,11 +98,11 @@ def test_cached_steps_equal_the_whole_sequence(kind):
         x = jax.random.normal(jax.random.key(1), (17, 2, config.width), jnp.float64)
         valid = jnp.arange(17) >= 3
         sequence = jax.jit(lambda net, x, valid: net.sequence(x, valid))
-        step = jax.jit(lambda net, x, memory: net.step(x, memory))
+        step = jax.jit(lambda net, x, cache: net.step(x, cache))
         whole, _ = sequence(backbone, x, valid)
-        _, memory = sequence(backbone, x[:7], valid[:7])
+        _, cache = sequence(backbone, x[:7], valid[:7])
         for i in range(7, 17):
-            out, memory = step(backbone, x[i], memory)
+            out, cache = step(backbone, x[i], cache)
             np.testing.assert_allclose(out, whole[i], rtol=0, atol=1e-12)
         spoiled, _ = sequence(backbone, x.at[:3].add(1.0), valid)
         np.testing.assert_array_equal(spoiled[3:], whole[3:])
@@ -192,7 +192,7 @@ def test_a_key_makes_a_sample_and_none_is_deterministic(model, window, encode, s
     assert float(jnp.abs(drawn[0] - drawn[1]).max()) > 0
 
 
-def test_untrained_model_is_its_least_squares_skip_from_the_filtered_start(
+def test_untrained_model_is_its_least_squares_map_from_the_filtered_start(
     untrained, baseline, window, encode, rolled, errors
 ):
     observation, action = window
@@ -320,6 +320,26 @@ def test_no_batch_boundary_shows_in_the_scores(episodes):
 
 
 # Files
+
+
+def test_a_checkpoint_of_older_names_is_read(model):
+    """The words that `RENAMED` translates stood in configurations and weights until they became the field's."""
+    older = {new: old for old, new in RENAMED.items()}
+
+    def paths(tree):
+        leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
+        return {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
+
+    contents = model.contents()
+    weights = {".".join(older.get(k, k) for k in path.split(".")): v for path, v in paths(contents.weights).items()}
+    assert {"kind", "action_encoder.rise.weight", "action_encoder.fall.bias"} <= set(weights)
+    config = {older.get(name, name): value for name, value in contents.config.items()}
+    assert "skip" in config
+    numbers = {name: value.tolist() for name, value in paths(contents.statistics).items()}
+    read = LearnedWorldModel.from_contents(contents._replace(config=config, weights=weights, statistics=numbers))
+    assert read.config == model.config
+    for a, b in zip(jax.tree.leaves(read.params), jax.tree.leaves(model.params), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("kind", ["learned", "least_squares", "constant_velocity"])

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
-from owm.model.transformer import Perceptron
+from owm.model.transformer import MLP
 from owm.motion.kinematics import (
     advance,
     apply_inverse,
@@ -59,14 +59,14 @@ class KinematicStream(eqx.Module):
     velocity and rate alone, as increments of a step: position and attitude follow by kinematics.
     """
 
-    encoder: Perceptron
+    encoder: MLP
     token_count: ClassVar[int] = 1
     residual_size: ClassVar[int] = 12
     features: ClassVar[int] = 41
     filter: ClassVar[Filter] = LOCAL_LEVEL
 
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
-        self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
+        self.encoder = MLP(self.features, 2 * config.width, config.width, dtype, key=key)
 
     @classmethod
     def fit(cls, episodes: Episodes) -> Statistics:
