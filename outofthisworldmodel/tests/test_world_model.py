@@ -18,7 +18,7 @@ from owm.data.windows import from_episodes, history_of
 from owm.interface import History, roll_out
 from owm.model.backbones import BACKBONES
 from owm.model.config import ModelConfig, preset
-from owm.model.streams.kinematic import KinematicStream
+from owm.model.streams import STREAMS
 from owm.model.world_model import RENAMED, LearnedWorldModel, Network, Params
 from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
 from owm.scores.prediction import prediction_error
@@ -29,7 +29,7 @@ DEPTH = 10
 
 @pytest.fixture(scope="module")
 def statistics(episodes):
-    return KinematicStream.fit(episodes)
+    return STREAMS["kinematic"].fit(episodes)
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from astrojax.attitude import quat_sign
 from astrojax.compilation import all_of, stored, summed
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
@@ -291,8 +292,7 @@ class DockingEnv:
         physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
-        sign = jnp.where(summed(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
-        view = stored(view.at[6:10].multiply(sign))
+        view = stored(view.at[6:10].multiply(quat_sign(view[6:10], state.view[6:10])))
 
         clearance, touches = advance_clearance(
             state.clearance, state.view[:3], view[:3], params.chaser.radius, self._boxes(params)

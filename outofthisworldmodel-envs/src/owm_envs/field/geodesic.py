@@ -105,7 +105,7 @@ class GeodesicField(NamedTuple):
 # ---------------------------------------------------------------- look-up
 
 
-def _safe_norm(vector: Float[Array, "3"]) -> tuple[Array, Array]:
+def _norm_and_direction(vector: Float[Array, "3"]) -> tuple[Array, Array]:
     """Norm and unit vector, zero with zero gradient at the origin."""
     square = jnp.sum(vector * vector)
     positive = square > 0.0
@@ -154,7 +154,7 @@ def cost_to_go(
     detour, *gradient = jnp.dot(weights, field.nodes[port_index, index], precision=_EXACT)
     # Beyond the coarse grid the detour stays what it is at the edge.
     gradient = jnp.where(excess == 0.0, jnp.stack(gradient), 0.0)
-    distance, away = _safe_norm(where_to - field.goals[port_index])
+    distance, away = _norm_and_direction(where_to - field.goals[port_index])
     phi, gradient = distance + detour, away + gradient
     return phi.astype(position.dtype), gradient.astype(position.dtype)
 

@@ -15,6 +15,7 @@ from astrojax.attitude import quat_conjugate, quat_multiply, quat_to_rotation_ve
 from astrojax.compilation import summed
 from owm.planning.config import Weights
 from owm_envs.field import GeodesicField, clearance, cost_to_go
+from owm_envs.task.events import safe_root
 
 
 class Goal(NamedTuple):
@@ -55,9 +56,9 @@ class Step(NamedTuple):
     uphill: Float[Array, "3"]
 
 
-def _safe_norm(vector: Float[Array, "3"]) -> Float[Array, ""]:
-    square = jnp.sum(vector * vector)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+def _norm(vector: Float[Array, "3"]) -> Float[Array, ""]:
+    # Not `safe_norm`, whose written-out sum is fused otherwise: plans would round differently.
+    return safe_root(jnp.sum(vector * vector))
 
 
 def _way(objective: str, goal: Goal, position: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
@@ -65,7 +66,7 @@ def _way(objective: str, goal: Goal, position: Float[Array, "3"]) -> tuple[Float
     if objective == "geodesic":
         return cost_to_go(goal.field, goal.port, position)
     offset = position - goal.pose[:3]
-    return _safe_norm(offset), offset
+    return _norm(offset), offset
 
 
 def _read(objective: str, goal: Goal, view: Float[Array, "13"], effort: Float[Array, "6"]) -> Step:
@@ -94,18 +95,18 @@ def speed_profile(w: Weights, step: Step) -> Float[Array, ""]:
     speed = jnp.minimum(w.top_speed, jnp.sqrt(w.braking * jnp.maximum(step.to_go, 1e-9)))
     speed = jnp.minimum(speed, step.to_go / w.closing_time)
     speed = jnp.minimum(speed, w.crawl + w.crawl_per_clearance * jnp.maximum(step.clearance, 0))
-    wanted = -speed * step.uphill / jnp.maximum(_safe_norm(step.uphill), 1e-6)
+    wanted = -speed * step.uphill / jnp.maximum(_norm(step.uphill), 1e-6)
     return jnp.sum((step.velocity - wanted) ** 2)
 
 
 def angle(w: Weights, step: Step) -> Float[Array, ""]:
     """The angle to the goal attitude."""
-    return _safe_norm(step.turn)
+    return _norm(step.turn)
 
 
 def rate_profile(w: Weights, step: Step) -> Float[Array, ""]:
     """Squared error to a rate towards the goal attitude, no faster than can be braked."""
-    angle = _safe_norm(step.turn)
+    angle = _norm(step.turn)
     spin = jnp.minimum(w.top_rate, jnp.sqrt(w.rate_braking * jnp.maximum(angle, 1e-9)))
     spin = jnp.minimum(spin, angle / w.turning_time)
     return jnp.sum((step.rate - spin * step.turn / jnp.maximum(angle, 1e-9)) ** 2)
@@ -213,4 +214,4 @@ def sequence_cost(
 def _unbraked(objective: str, goal: Goal, view: Float[Array, "13"], deceleration: Float[Array, ""]) -> Float[Array, ""]:
     """The speed, m/s, beyond what can be braked to rest over the way that is left."""
     to_go, _ = _way(objective, goal, view[:3])
-    return jnp.maximum(_safe_norm(view[3:6]) - jnp.sqrt(2 * deceleration * jnp.maximum(to_go, 1e-9)), 0)
+    return jnp.maximum(_norm(view[3:6]) - jnp.sqrt(2 * deceleration * jnp.maximum(to_go, 1e-9)), 0)

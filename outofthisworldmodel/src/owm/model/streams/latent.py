@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from astrojax.attitude import quat_sign
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.transformer import MLP, Linear
@@ -243,7 +244,7 @@ class LatentStream(eqx.Module):
         """Return the view, its quaternion that of the nearest rotation, on the anchor's side of the sphere."""
         seen = self.decoded(statistics, carry)
         q = quaternion(seen[6:15].reshape(3, 3))
-        q = jnp.where(jnp.sum(q * carry.anchor[3:]) < 0.0, -q, q)
+        q = quat_sign(q, carry.anchor[3:]) * q
         return {"state": jnp.concatenate([seen[:3] + carry.anchor[:3], seen[3:6], q, seen[15:]])}
 
     def decode_loss(self, statistics: Statistics, carry: Latent, view: Float[Array, "13"]) -> Float[Array, ""]:
