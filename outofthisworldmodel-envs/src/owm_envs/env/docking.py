@@ -170,7 +170,7 @@ class DockingEnv:
             port=start.port,
             count=jnp.zeros((), jnp.int32),
             outcome=jnp.asarray(Outcome.RUNNING, jnp.int32),
-            collided=room.now <= 0,
+            collided=clearance.now <= 0,
             clearance=clearance,
             closest=Closest(*error_norms(error), jnp.copy(physics.elapsed)),
             actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
