@@ -146,7 +146,7 @@ def main(arguments: list[str] | None = None) -> dict:
     delta_v = np.abs(wrench[:, :3]).sum() * HOLD * env.config.dt / env.config.chaser.mass
     print(
         f"flown at 20 Hz, docking and collisions on: {outcome} after {float(final.physics.elapsed):.2f} s, hull "
-        f"{'touched' if final.collided else 'not touched'} (nearest {float(final.room.least):.2f} m)\n"
+        f"{'touched' if final.collided else 'not touched'} (nearest {float(final.clearance.least):.2f} m)\n"
         f"largest control {np.abs(controls).max():.0%} of its limit, delta-v {delta_v:.2f} m/s; "
         f"{time.perf_counter() - began:.1f} s in all"
     )

@@ -242,3 +242,14 @@ def test_gravity_gradient_against_point_masses(x64):
     exact = mass * np.sum(np.cross(points, pulls), axis=0)
     ours = attitude.torque_gravity_gradient(jnp.asarray(r), jnp.asarray(inertia))
     np.testing.assert_allclose(ours, exact, rtol=0, atol=1e-6 * np.linalg.norm(exact))
+
+
+def test_quat_sign_brings_a_quaternion_to_the_side_of_another():
+    rng = np.random.default_rng(3)
+    q, reference = rng.normal(size=(2, 50, 4))
+    for array in (np.asarray, jnp.asarray):
+        sign = attitude.quat_sign(array(q), array(reference))
+        assert sign.dtype == array(q).dtype
+        assert set(np.asarray(sign).tolist()) == {-1.0, 1.0}
+        assert (np.sum(sign[:, None] * q * reference, axis=1) >= 0).all()
+    assert attitude.quat_sign(q[0], np.zeros(4)) == 1.0  # across: either side will do, and it is kept

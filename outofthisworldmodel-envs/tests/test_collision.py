@@ -8,7 +8,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from owm_envs.station import hull_boxes
-from owm_envs.task.collision import Room, advance_room, room_at, swept_clearance, swept_distance
+from owm_envs.task.collision import Clearance, advance_clearance, clearance_at, swept_clearance, swept_distance
 
 RADIUS = 2.25
 clearance = jax.jit(swept_clearance)
@@ -84,14 +84,14 @@ moves = st.one_of(st.just((0.0, 0.0, 0.0)), *vectors.values())  # at rest, and u
 
 
 def fly(points, radius, boxes):
-    """The room, and whether a box was touched, after each move of a sphere along a polyline."""
+    """The clearance, and whether a box was touched, after each move of a sphere along a polyline."""
 
     def move(carry, end):
-        room, start = carry
-        room, touched = advance_room(room, start, end, radius, boxes)
-        return (room, end), (room, touched)
+        known, start = carry
+        known, touched = advance_clearance(known, start, end, radius, boxes)
+        return (known, end), (known, touched)
 
-    start = room_at(points[0], radius, boxes)
+    start = clearance_at(points[0], radius, boxes)
     return jax.lax.scan(move, (start, points[0]), points[1:])[1]
 
 
@@ -114,8 +114,8 @@ def least_distance(start, end, boxes):
     return min(gaps(t).min() for t in (low, high, np.zeros(len(boxes)), np.ones(len(boxes))))
 
 
-def check_polyline(points, radius, boxes, rooms, touched, margin):
-    """What `Room` promises, against distances found otherwise."""
+def check_polyline(points, radius, boxes, found, touched, margin):
+    """What `Clearance` promises, against distances found otherwise."""
     true_least = least_distance(points[0], points[0], boxes) - radius
     longest, contact = 0.0, true_least <= 0
     for k, (start, end) in enumerate(itertools.pairwise(points)):
@@ -123,10 +123,10 @@ def check_polyline(points, radius, boxes, rooms, touched, margin):
         assert touched[k] == (swept <= 0) or abs(swept) < margin
         contact |= bool(touched[k])
         true_least, longest = min(true_least, swept), max(longest, np.linalg.norm(end - start))
-        assert rooms.now[k] <= least_distance(end, end, boxes) - radius + margin
-        assert rooms.least[k] <= true_least + margin
-        assert rooms.least[k] >= min(true_least, 0.95 * max(true_least - longest / 2, 0)) - margin
-        assert (rooms.least[k] <= 0) == contact or abs(true_least) < margin
+        assert found.now[k] <= least_distance(end, end, boxes) - radius + margin
+        assert found.least[k] <= true_least + margin
+        assert found.least[k] >= min(true_least, 0.95 * max(true_least - longest / 2, 0)) - margin
+        assert (found.least[k] <= 0) == contact or abs(true_least) < margin
 
 
 def grazing(box, axis, gap, radius):
@@ -156,9 +156,9 @@ def test_room_along_a_polyline(kind, dtype, margin, data):
         track.append(track[-1] + data.draw(moves))
     track, boxes, radius = (np.asarray(x, dtype) for x in (track, boxes, radius))
     with jax.enable_x64(True):
-        rooms, touched = jax.device_get(flown(track, radius, boxes))
-    assert rooms.now.dtype == dtype
-    check_polyline(*(x.astype(np.float64) for x in (track, radius, boxes)), rooms, touched, margin)
+        found, touched = jax.device_get(flown(track, radius, boxes))
+    assert found.now.dtype == dtype
+    check_polyline(*(x.astype(np.float64) for x in (track, radius, boxes)), found, touched, margin)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -186,15 +186,15 @@ def test_the_least_does_not_creep_down_between_measurements():
     """A kilometre to and fro, a metre at a time, a hundred metres off."""
     box = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]])
     to_and_fro = np.array([[102.0, k % 2, 0.0] for k in range(1000)])
-    rooms, touched = flown(to_and_fro, 1.0, box)
+    found, touched = flown(to_and_fro, 1.0, box)
     assert not touched.any()
-    assert 0.95 * 99.5 <= rooms.least[-1] <= 100
-    assert rooms.least[-1] == rooms.least.min()
+    assert 0.95 * 99.5 <= found.least[-1] <= 100
+    assert found.least[-1] == found.least.min()
 
 
 @pytest.fixture(scope="module")
 def crowd():
-    """64 polylines about the hull, most of them in contact with it at some time, and their rooms as one batch."""
+    """64 polylines about the hull, most of them in contact with it at some time, and their clearance as one batch."""
     generator = np.random.default_rng(3)
     inside = hull_boxes().mean(1)[generator.integers(0, 313, 64)]
     tracks = np.cumsum(generator.normal(size=(64, MOVES + 1, 3)) * generator.choice([0.1, 3, 15], (64, 1, 1)), axis=1)
@@ -205,11 +205,11 @@ def crowd():
 
 
 def test_a_crowd_in_contact_with_the_hull(crowd):
-    tracks, (rooms, touched) = crowd
+    tracks, (found, touched) = crowd
     assert touched.sum(axis=0).min() > 20  # of 64 at once, at every move
     assert not touched[::5].any()
     for i, track in enumerate(tracks[::4]):
-        one = jax.tree.map(lambda x, i=i: x[4 * i], (rooms, touched))
+        one = jax.tree.map(lambda x, i=i: x[4 * i], (found, touched))
         check_polyline(track, RADIUS, hull_boxes(), *one, 3e-7)
 
 
@@ -240,9 +240,9 @@ def test_a_radius_and_boxes_of_each_episode(crowd):
 
 def test_many_histories_of_one_move():
     box = np.array([[[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]])
-    before = Room(np.array([9.0, 0.5]), np.array([5.0, 0.5]), np.array([5.0, 0.5]))
+    before = Clearance(np.array([9.0, 0.5]), np.array([5.0, 0.5]), np.array([5.0, 0.5]))
     move = np.array([11.0, 0.0, 0.0]), np.array([10.0, 0.0, 0.0])
-    after, touched = jax.vmap(advance_room, (0, None, None, None, None))(before, *move, 1.0, box)
+    after, touched = jax.vmap(advance_clearance, (0, None, None, None, None))(before, *move, 1.0, box)
     np.testing.assert_allclose(after.now, [8, 8], rtol=1e-6)  # kept, and measured
     np.testing.assert_allclose(after.least, [5, 0.5])
     assert not touched.any()
@@ -252,8 +252,8 @@ def test_gradients_stop_here(quick):
     box = np.array([[[-1.0, -2.0, -3.0], [1.0, 2.0, 3.0]]])
 
     def total(track):
-        rooms, _ = fly(track, RADIUS, box)
-        return jnp.sum(rooms.now + rooms.least) + jnp.sum(track)
+        found, _ = fly(track, RADIUS, box)
+        return jnp.sum(found.now + found.least) + jnp.sum(track)
 
     tracks = np.random.default_rng(0).normal(size=(3, MOVES + 1, 3)) * 4
     gradient = quick(jax.grad(lambda tracks: jnp.sum(jax.vmap(total)(tracks))))(tracks)

@@ -56,9 +56,9 @@ def place_fleet(env, params, state, views):
     before = state.chasers.physics
     physics = initial(env.docking.dynamics)(params, before.epoch, views)
     physics = before._replace(chaser=physics.chaser, chief=physics.chief[0])
-    unknown = state.chasers.room._replace(now=jnp.zeros(3))
+    unknown = state.chasers.clearance._replace(now=jnp.zeros(3))
     error = quick(jax.vmap(goal_error))(jnp.asarray(views), params.goals[state.chasers.port])
-    chasers = state.chasers._replace(physics=physics, view=jnp.asarray(views), error=error, room=unknown)
+    chasers = state.chasers._replace(physics=physics, view=jnp.asarray(views), error=error, clearance=unknown)
     return state._replace(chasers=chasers)
 
 

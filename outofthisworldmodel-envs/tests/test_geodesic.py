@@ -196,8 +196,8 @@ def test_double_positions_give_doubles_and_the_same_numbers(station_field):
     single = look_up(station_field, 1, jnp.asarray(place, jnp.float32))
     with jax.enable_x64(True):
         double = look_up(station_field, 1, jnp.asarray(place, jnp.float64))
-        room = look_up_clearance(station_field, jnp.asarray(place, jnp.float64))
-        assert double[0].dtype == double[1].dtype == room.dtype == jnp.float64
+        gap = look_up_clearance(station_field, jnp.asarray(place, jnp.float64))
+        assert double[0].dtype == double[1].dtype == gap.dtype == jnp.float64
     assert single[0].dtype == single[1].dtype == jnp.float32
     np.testing.assert_allclose(double[0], single[0], rtol=1e-6)
     np.testing.assert_allclose(double[1], single[1], atol=1e-6)

@@ -14,7 +14,7 @@ from owm.catalogue.policies import kind_of
 from owm.checkpoint import save_world_model
 from owm.model.config import PRESETS, ModelConfig
 from owm.model.flow import FlowHead
-from owm.model.streams.latent import HASTE, LatentStream, features
+from owm.model.streams.latent import SPREAD_RATE, LatentStream, features
 from owm.model.world_model import LearnedWorldModel, Network, Params, parameter_counts
 from owm.motion.bilinear import COLUMNS, bilinear_inputs, fit_bilinear_map
 from owm.motion.kinematics import quaternion, rotation, view_error
@@ -91,7 +91,7 @@ def test_untrained_it_predicts_by_its_map(untrained, episodes):
 @pytest.fixture(scope="module")
 def learned(statistics, episodes):
     """A model whose trained layer alone has been trained."""
-    config = CONFIG.model_copy(update={"skip": "learned"})
+    config = CONFIG.model_copy(update={"base_dynamics": "learned"})
     network = jax.jit(lambda: Network(config, key=jax.random.key(1)))()
     windows, steps = episodes.windows(4, 1500, seed=2), 1500
     valid = jnp.ones(4, bool)
@@ -129,7 +129,7 @@ def test_the_trained_layer_finds_the_motion_by_itself(learned, statistics, episo
     for quantity in ("velocity_mps", "attitude_deg", "rate_degps"):
         assert (found.mean(quantity) < 0.3 * coasting.mean(quantity)).all()
     # It leaves of positions and velocities what the least-squares map does, noise; of the others little.
-    left = np.exp(HASTE * np.asarray(learned.params.network.stream.spread)) * statistics.change_scale
+    left = np.exp(SPREAD_RATE * np.asarray(learned.params.network.stream.spread)) * statistics.change_scale
     np.testing.assert_allclose(left[:2], statistics.residual_scale[:2], rtol=0.2)
     assert (left[2:] < 0.15 * statistics.change_scale[2:]).all()
 
@@ -157,12 +157,12 @@ def test_the_trained_layer_learns_from_measured_steps_alone(learned, statistics,
     for gradient, layer, rest in ((measured(stream), True, False), (predicted(stream), False, True)):
         for part in (gradient.quadratic, gradient.spread):
             assert bool(jnp.any(part != 0.0)) == layer
-        assert bool(jnp.any(gradient.encoder.fall.bias != 0.0)) == rest
+        assert bool(jnp.any(gradient.encoder.down.bias != 0.0)) == rest
 
 
 def test_latents_do_not_collapse_in_training(statistics, episodes):
     """Without the map, where making targets easy would pay most."""
-    config = CONFIG.model_copy(update={"skip": "none", "head": "flow"})
+    config = CONFIG.model_copy(update={"base_dynamics": "none", "head": "flow"})
     network = jax.jit(lambda: Network(config, key=jax.random.key(2)))()
     model = LearnedWorldModel(config, Params(network, statistics))
     windows = episodes.windows(4 + DEPTH, 64, seed=3)
@@ -235,7 +235,7 @@ def test_parameters_are_counted_and_narrow_tokens_refused(capsys):
     cli.main(["presets"])
     assert "latent" in capsys.readouterr().out
     counts = parameter_counts(PRESETS["paper"])
-    assert set(counts) == {"stream", "action_encoder", "kind", "backbone", "head"}
+    assert set(counts) == {"stream", "action_encoder", "token_type", "backbone", "head"}
     assert 1e6 < sum(counts.values()) < 6.4e6, "the publication's 6.4 million include the image stream"
     with pytest.raises(ValueError, match="at least 10 for the latent stream, got 8"):
         ModelConfig(stream="latent", width=8, heads=2, head_width=8)

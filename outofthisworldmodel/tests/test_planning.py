@@ -1,16 +1,18 @@
 """The planner's pure functions: candidates, costs, corrections, a replan."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from free_body import BIAS, GOAL, LIMIT, NO_BIAS, FreeBody, history_at, move, small_field, view_at
 
-from owm.planning import corrector, mppi, objective
+from owm.interface import roll_out
+from owm.planning import corrector, cost, effect, mppi, sampler, update
 from owm.planning.config import PlannerConfig
 from owm.planning.policy import replan_slot
 
-NONE_COMMITTED = np.zeros((0, 6), np.float32)
 CONFIG = PlannerConfig()
 TUNING = CONFIG.tuning(LIMIT)
 GAINS = TUNING.gain, TUNING.drift_gain
@@ -20,7 +22,7 @@ def test_smooth_noise_has_unit_deviation_and_the_first_candidate_none():
     shape = CONFIG.shape._replace(candidates=2001)
     sigma = np.float32([0.2, 0.2, 0.2, 0.05, 0.05, 0.05])
     warm = jnp.linspace(-0.1, 0.1, 64 * 6, dtype=jnp.float32).reshape(64, 6)
-    candidates = np.asarray(mppi.sample_candidates(shape, sigma, warm, key=jax.random.key(3)))
+    candidates = np.asarray(sampler.sample_candidates(shape, sigma, warm, key=jax.random.key(3)))
     np.testing.assert_array_equal(candidates[0], warm)
     noise = (candidates[1:] - np.asarray(warm)) / sigma
     np.testing.assert_allclose(noise.std(axis=0), 1.0, atol=0.08)
@@ -31,22 +33,96 @@ def test_smooth_noise_has_unit_deviation_and_the_first_candidate_none():
 
 def test_candidates_stay_within_the_limits():
     warm = jnp.full((64, 6), 0.95, jnp.float32)
-    candidates = mppi.sample_candidates(CONFIG.shape, np.float32([0.5] * 6), warm, key=jax.random.key(0))
+    candidates = sampler.sample_candidates(CONFIG.shape, np.float32([0.5] * 6), warm, key=jax.random.key(0))
     assert float(jnp.max(jnp.abs(candidates))) == 1.0
 
 
-step_cost = jax.jit(objective.step_cost, static_argnums=0)
-sequence_cost = jax.jit(objective.sequence_cost, static_argnums=0)
+step_cost = jax.jit(cost.step_cost, static_argnums=0)
+sequence_cost = jax.jit(cost.sequence_cost, static_argnums=0)
+
+
+def goal():
+    return cost.Goal(small_field(), np.int32(0), GOAL)
 
 
 def _cost(offset, velocity=(0, 0, 0), kind="geodesic"):
     view = view_at(offset)
     view[3:6] = velocity
-    cost, gap = step_cost(kind, TUNING.weights, small_field(), np.int32(0), GOAL, view, np.zeros(6, np.float32))
-    return float(cost), float(gap)
+    charged, gap = step_cost(kind, TUNING.weights, goal(), view, np.zeros(6, np.float32))
+    return float(charged), float(gap)
 
 
-@pytest.mark.parametrize("kind", ["geodesic", "straight", "plain"])
+def some_steps():
+    """Four views about the goal, the last inside the box, and efforts."""
+    rng = np.random.default_rng(7)
+    attitude = rng.normal(size=(4, 4))
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    position = GOAL[:3] + rng.uniform(-15, 15, (4, 3))
+    views = np.concatenate([position, rng.normal(size=(4, 3)), attitude, 0.02 * rng.normal(size=(4, 3))], axis=1)
+    views[3] = view_at((23, 0, 0))
+    return views.astype(np.float32), rng.uniform(-1, 1, (4, 6)).astype(np.float32)
+
+
+PINNED = {
+    "geodesic": ([42.66195, 46.253338, 52.17837, 264.06995], [1285.2734, 101.290894, 47.03122]),
+    "straight": ([42.054646, 48.625465, 52.178368, 173.04425], [1285.7146, 78.97568, 47.6195]),
+    "plain": ([332.0245, 403.5985, 411.7334, 628.05404], [1536.8391, 443.8526, 382.45215]),
+}
+"""Costs of `some_steps` one by one, and together: from clear space, from within the hull, without the last."""
+PINNED_PLANS = {
+    ("geodesic", 0): [[-549.8662, 159.84917, 284.2796, -132.95317], [-625.6113, 137.06006, 351.5509, -129.14856]],
+    ("straight", 0): [[-549.8651, 159.84859, 284.2789, -132.95335], [-625.6102, 137.05969, 351.55014, -129.14879]],
+    ("plain", 1): [[-407.90234, 137.68942, 639.4648, -55.189304], [-478.32236, 138.16388, 783.6223, -45.816246]],
+}
+"""First wrenches of a second replan, which has a warm start and a correction."""
+
+
+@pytest.mark.parametrize("kind", cost.OBJECTIVES)
+def test_costs_keep_their_numbers(kind):
+    views, efforts = some_steps()
+    steps, sequences = PINNED[kind]
+    given = partial(step_cost, kind, TUNING.weights, goal())
+    np.testing.assert_allclose([given(*step)[0] for step in zip(views, efforts)], steps, rtol=2e-6)
+    given = partial(sequence_cost, kind, TUNING.weights, goal(), deceleration=np.float32(0.06))
+    found = [given(views, efforts, clear=clear) for clear in (True, False)]
+    found.append(given(views[:3], efforts[:3], clear=True))
+    np.testing.assert_allclose(found, sequences, rtol=2e-6)
+
+
+@pytest.mark.parametrize(("kind", "latency"), PINNED_PLANS)
+def test_plans_keep_their_numbers(kind, latency):
+    shape = PlannerConfig(objective=kind, latency=latency).shape
+    view = view_at((2, -15, 3))
+    view[3:6] = [0.3, 0.1, -0.2]
+    state = jax.device_get(mppi.init_planner(shape))
+    for count in range(2):
+        wrenches, state = replan(view, 5, BIAS, shape=shape, state=state, slot=1, count=count)
+        state = jax.device_get(state)
+        view = state.expected + np.float32(0.01)
+        view[6:10] /= np.linalg.norm(view[6:10])
+    # A sum in another order moves a plan by far more than itself: its softmax is steep.
+    np.testing.assert_allclose(wrenches[:2, :4], PINNED_PLANS[kind, latency], rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", cost.OBJECTIVES)
+def test_every_term_has_a_weight_and_is_charged_by_it(kind):
+    """The step cost is linear in each weight, and each term stands in it once."""
+    view, efforts = some_steps()[0][0], np.full(6, 0.5, np.float32)
+    view[:3] = view_at((21.5, 0, 0))[:3]  # so near the box that the margin counts
+    weights = TUNING.weights
+    whole, gap = step_cost(kind, weights, goal(), view, efforts)
+    assert gap < weights.margin
+    names = [term.name for group in cost.OBJECTIVES[kind] for term in group]
+    assert sorted(names) == ["attitude", "clearance", "effort", "position", "rate", "velocity"]
+    shares = [
+        float(whole - step_cost(kind, weights._replace(**{name: np.float32(0)}), goal(), view, efforts)[0])
+        for name in names
+    ]
+    assert min(shares) > 0
+    assert sum(shares) == pytest.approx(float(whole), rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", cost.OBJECTIVES)
 def test_step_cost_vanishes_at_the_goal_and_grows_away_from_it(kind):
     at_goal, near, far = (_cost((0, -d, 0), kind=kind)[0] for d in (0.0, 2.0, 12.0))
     assert at_goal == pytest.approx(0.0, abs=1e-3)
@@ -63,15 +139,15 @@ def test_touching_costs_more_the_earlier_and_ends_the_candidate():
     inside, clear = view_at((23, 0, 0)), view_at((10, 0, 0))
     assert _cost((23, 0, 0))[1] < 0 < _cost((10, 0, 0))[1]
 
-    def cost(views, starts_clear=True):
-        given = (TUNING.weights, small_field(), np.int32(0), GOAL, starts_clear, np.float32(np.inf))
-        return float(sequence_cost("geodesic", *given, np.stack(views), np.zeros((4, 6), np.float32)))
+    def charged(views, starts_clear=True):
+        given = (TUNING.weights, goal(), np.stack(views), np.zeros((4, 6), np.float32))
+        return float(sequence_cost("geodesic", *given, clear=starts_clear, deceleration=np.float32(np.inf)))
 
-    early, late, never = cost([inside] * 4), cost([clear] * 3 + [inside]), cost([clear] * 4)
+    early, late, never = charged([inside] * 4), charged([clear] * 3 + [inside]), charged([clear] * 4)
     assert early == pytest.approx(2000.0)  # 1000 (1 + whole horizon), nothing else is counted
     assert late == pytest.approx(1250.0 + 0.75 * never, rel=1e-5)
     # Who starts in contact is led out instead: the same views without the charge.
-    assert never < cost([inside] * 4, False) < 400.0
+    assert never < charged([inside] * 4, False) < 400.0
 
 
 TRUTH = corrector.Correction(*(np.float32(x) for x in ([0.02, -0.01, 0], [1e-3, 0, -2e-3], [0, 0.1, 0])))
@@ -79,11 +155,11 @@ TRUTH = corrector.Correction(*(np.float32(x) for x in ([0.02, -0.01, 0], [1e-3, 
 
 def corrections(truth, noise, replans, seed=0):
     """The corrections found at each replan from predictions that lack `truth` and measurements of some noise."""
-    apply, update = jax.jit(corrector.apply), jax.jit(corrector.update)
+    apply, learn = jax.jit(corrector.apply), jax.jit(corrector.update)
     view, known, found = view_at((5, 5, 5)), corrector.init_corrector(), []
     for error in np.random.default_rng(seed).normal(size=(replans, 13)) * noise:
         measured = apply(truth, view, np.float32(2.0)) + np.float32(error)
-        known = update(known, apply(known.correction, view, np.float32(2.0)), measured, 2.0, *GAINS)
+        known = learn(known, apply(known.correction, view, np.float32(2.0)), measured, 2.0, *GAINS)
         found.append(known.correction)
     return jax.tree.map(lambda *rows: np.stack(rows), *found)
 
@@ -105,22 +181,23 @@ def test_corrector_leaves_noise_alone_and_finds_what_stands_out_of_it():
     np.testing.assert_allclose(loud.acceleration[20:].mean(axis=0), [0.06, -0.03, 0], atol=6e-3)
 
 
-@pytest.mark.parametrize("kind", ["geodesic", "straight", "plain"])
+@pytest.mark.parametrize("kind", cost.OBJECTIVES)
 def test_a_speed_that_cannot_be_braked_is_charged(kind):
-    def cost(speed, able):
+    def charged(speed, able):
         view = view_at((0, -12, 0))
         view[4] = speed
-        given = (TUNING.weights, small_field(), np.int32(0), GOAL, True, np.float32(able))
-        return float(sequence_cost(kind, *given, view[None], np.zeros((1, 6), np.float32)))
+        given = (TUNING.weights, goal(), view[None], np.zeros((1, 6), np.float32))
+        return float(sequence_cost(kind, *given, clear=True, deceleration=np.float32(able)))
 
-    braked, unbraked = (cost(2.0, able) - cost(2.0, np.inf) for able in (0.2, 0.06))  # over 12 m: 2.19 and 1.2 m/s
+    # Over 12 m: 2.19 and 1.2 m/s.
+    braked, unbraked = (charged(2.0, able) - charged(2.0, np.inf) for able in (0.2, 0.06))
     assert braked == 0.0
     assert unbraked == (0.0 if kind == "plain" else pytest.approx(10.0 * (2.0 - (2 * 0.06 * 12) ** 0.5) ** 2, rel=0.05))
 
 
 def flown_candidates(late=0):
     """Candidates, and the views from which and to which a steadily biased vehicle flies their first chunk."""
-    candidates = mppi.sample_candidates(
+    candidates = sampler.sample_candidates(
         CONFIG.shape, TUNING.sigma, jnp.zeros((64, 6), jnp.float32), key=jax.random.key(0)
     )
     view = before = jnp.broadcast_to(view_at((0, -15, 3)), (128, 13))
@@ -132,28 +209,33 @@ def flown_candidates(late=0):
 def test_the_coasting_wrench_cancels_a_steady_acceleration():
     flown = flown_candidates()
     view = flown[1]
-    wrench = TUNING.limit * mppi.coasting_wrench(mppi.effect_of(*flown))
+    wrench = TUNING.limit * effect.coasting_wrench(effect.effect_of(*flown))
     still = move(BIAS, view[:1], wrench[None])[0]
     np.testing.assert_allclose(still[3:6], view[0, 3:6], atol=2e-5)
     np.testing.assert_allclose(still[10:], view[0, 10:], atol=1e-7)
-    unmoved = mppi.effect_of(flown[0], view, view, 2.0)
-    np.testing.assert_array_equal(mppi.coasting_wrench(unmoved), 0.0)
-    assert mppi.authority(unmoved) == np.inf
+    unmoved = effect.effect_of(flown[0], view, view, 2.0)
+    np.testing.assert_array_equal(effect.coasting_wrench(unmoved), 0.0)
+    assert effect.authority(unmoved) == np.inf
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_the_authority_is_the_thrust_over_the_mass(late):
     """Also where thrusters answer a step late, of which a single step would show nothing."""
-    able = float(mppi.authority(mppi.effect_of(*flown_candidates(late))))
+    able = float(effect.authority(effect.effect_of(*flown_candidates(late))))
     assert able == pytest.approx(1600.0 / 12_000.0, rel=0.01 if not late else 0.15)
 
 
-def replan(view, seed=0, params=NO_BIAS):
+def replan(view, seed=0, params=NO_BIAS, shape=CONFIG.shape, state=None, slot=0, count=0):
     """Replan through the same compiled program as the policies below."""
     return replan_slot()(
-        FreeBody(), CONFIG.shape, params, TUNING, small_field(), np.int32(0), GOAL, history_at(view), NONE_COMMITTED,
-        jax.device_get(mppi.init_planner(CONFIG.shape)), np.uint32(seed), np.uint32(0), np.uint32(0),
-    )  # fmt: skip
+        FreeBody(),
+        shape,
+        mppi.Problem(params, TUNING, goal()),
+        history_at(view),
+        jax.device_get(mppi.init_planner(shape)) if state is None else state,
+        committed=np.full((shape.latency, 6), 100.0, np.float32),
+        **{name: np.uint32(value) for name, value in (("seed", seed), ("slot", slot), ("count", count))},
+    )
 
 
 def test_replan_follows_from_its_key():
@@ -171,7 +253,7 @@ def test_warm_start_is_the_rest_of_the_plan_and_the_expectation_is_the_models():
     assert state.plan.shape == (64, 6)
     np.testing.assert_allclose(state.plan[-8:], 0.0, atol=1e-3)
     assert np.abs(np.asarray(state.plan[:-8])).max() > 0.01
-    predicted = mppi.rollout(FreeBody(), NO_BIAS, view, wrenches)[-1]
+    predicted = roll_out(FreeBody(), NO_BIAS, view, wrenches)[-1]
     error = np.abs(np.asarray(state.expected - predicted))
     # Averaged over candidates, not rolled out: apart by less than cooperative noise (0.05 m, 0.002 m/s).
     assert error[:3].max() < 5e-4 and error[3:6].max() < 5e-4 and error[10:].max() < 1e-6
@@ -182,6 +264,11 @@ def test_replan_does_not_compile_again_for_other_numbers():
     before = replan_slot()._cache_size()
     replan(view_at((1, -9, 2)), seed=9, params=np.full(6, 1e-3, np.float32))
     assert replan_slot()._cache_size() == before
+
+
+def test_a_candidate_without_a_finite_cost_is_never_chosen():
+    weights = update.candidate_weights(jnp.float32([2.0, jnp.nan, 1.0, jnp.inf]), 0.5)
+    np.testing.assert_allclose(weights, np.array([np.exp(-2.0), 0, 1, 0]) / (1 + np.exp(-2.0)), rtol=1e-6)
 
 
 def test_a_model_that_predicts_nan_yields_finite_actions():

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from owm.baselines.exact import ExactDynamics
-from owm.interface import History
-from owm.planning.mppi import rollout
+from owm.interface import History, roll_out
 from owm_envs.config import load_config
 from owm_envs.config.params import params_from_config
 from owm_envs.dynamics import DYNAMICS
@@ -43,7 +42,7 @@ def test_follows_the_environment_of_its_fidelity(fidelity):
 
         @jax.jit
         def predict(params, view, wrenches):
-            return rollout(model, params, model.encode(params, history_at(view)), wrenches)
+            return roll_out(model, params, model.encode(params, history_at(view)), wrenches)
 
         expected = np.asarray(truth(params, view, wrenches))
         predicted = np.asarray(predict(model.params, view, wrenches))

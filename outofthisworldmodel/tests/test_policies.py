@@ -8,11 +8,11 @@ import synthetic
 
 from owm.baselines.classical import CRUISE_RADIUS, classical_policy, corridor_of, inside, wanted_velocity
 from owm.baselines.least_squares import LeastSquares
-from owm.baselines.online import OnlineLeastSquares, OnlineSkip
+from owm.baselines.online import OnlineBase, OnlineLeastSquares
 from owm.catalogue.policies import GIVEN, kind_of
 from owm.checkpoint import save_world_model
 from owm.model.config import ModelConfig
-from owm.model.streams.kinematic import KinematicStream
+from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.motion.linear import LinearMap
 from owm.planning.mpc import beyond, clohessy_wiltshire, solve, tracking
@@ -37,7 +37,7 @@ def world_model(episodes) -> LearnedWorldModel:
     """An untrained kinematic model."""
     config = ModelConfig(width=8, heads=2, head_width=8)
     network = jax.jit(lambda: Network(config, key=jax.random.key(0)))()
-    return LearnedWorldModel(config, Params(network, KinematicStream.fit(episodes)))
+    return LearnedWorldModel(config, Params(network, STREAMS["kinematic"].fit(episodes)))
 
 
 def test_online_least_squares_finds_another_chaser_and_keeps_what_it_is_not_shown(fit):
@@ -173,7 +173,7 @@ def test_online_models_are_named_by_what_they_start_from(fit, world_model, tmp_p
 def test_the_linear_part_under_a_network_follows_as_the_fit_alone_does(fit, world_model):
     learner = OnlineLeastSquares(LIMIT)
     params = world_model.params._replace(statistics=world_model.params.statistics._replace(linear=fit))
-    over, alone = OnlineSkip(learner), learner.init(fit)
+    over, alone = OnlineBase(learner), learner.init(fit)
     known = over.init(params)
     view = jnp.asarray([60.0, -90.0, 40.0, 0.1, 0, 0, 0.6, 0.8, 0, 0, 0.01, 0, 0], jnp.float32)
     action = jnp.asarray([800.0, 0, 0, 0, 0, 500.0], jnp.float32)

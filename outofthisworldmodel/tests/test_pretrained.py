@@ -7,9 +7,8 @@ import numpy as np
 from owm.baselines.exact import ExactDynamics
 from owm.catalogue.checkpoint import load_world_model
 from owm.catalogue.policies import GIVEN, kind_of
-from owm.interface import History
+from owm.interface import History, roll_out
 from owm.motion.kinematics import view_error
-from owm.scores.prediction import roll_out
 
 
 def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
@@ -23,13 +22,14 @@ def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
     @jax.jit
     def truth(view, actions):
         start = History({"state": view[None]}, jnp.zeros((0, 6), jnp.float32), jnp.ones(1, bool))
-        return roll_out(exact, exact.params, start, actions)
+        return roll_out(exact, exact.params, exact.encode(exact.params, start), actions)
 
     views = jnp.concatenate([view[None], truth(view, actions)])
     known = model.history_length
     history = History({"state": views[:known]}, actions[: known - 1], jnp.ones(known, bool))
     rest = actions[known - 1 :]
-    predicted = jax.jit(lambda history, actions: roll_out(model, model.params, history, actions))(history, rest)
+    start = model.encode(model.params, history)
+    predicted = jax.jit(lambda start, actions: roll_out(model, model.params, start, actions))(start, rest)
     error = np.linalg.norm(np.asarray(view_error(predicted[-1], views[-1])).reshape(4, 3), axis=1)
     moved = np.linalg.norm(np.asarray(views[-1, :3] - views[known - 1, :3]))
     assert moved > 5.0

@@ -84,7 +84,7 @@ def test_a_run_learns_and_publishes_its_best(uninterrupted):
     scores = {line["step"]: line["score"] for line in log if "score" in line}
     assert result.score == pytest.approx(min(scores.values()), rel=1e-5)
     assert scores[result.step] == pytest.approx(result.score, rel=1e-5)
-    assert result.score < 0.9 * scores[0], "better than the least-squares skip it starts from"
+    assert result.score < 0.9 * scores[0], "better than the least-squares map it starts from"
     published = load_world_model(result.model_dir, expect=CONFIG.model)
     for a, b in zip(jax.tree.leaves(published.params), jax.tree.leaves(result.model.params), strict=True):
         np.testing.assert_array_equal(a, b)

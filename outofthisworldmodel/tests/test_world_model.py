@@ -16,13 +16,13 @@ from owm.catalogue.checkpoint import load_world_model
 from owm.checkpoint import CheckpointError, save_world_model
 from owm.data import windows as cut
 from owm.data.windows import from_episodes
-from owm.interface import History
+from owm.interface import History, roll_out
 from owm.model.backbones import BACKBONES
 from owm.model.config import ModelConfig, preset
-from owm.model.streams.kinematic import KinematicStream
-from owm.model.world_model import LearnedWorldModel, Network, Params
+from owm.model.streams import STREAMS
+from owm.model.world_model import RENAMED, LearnedWorldModel, Network, Params
 from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
-from owm.scores.prediction import prediction_error, roll_out
+from owm.scores.prediction import prediction_error
 
 CONFIG = ModelConfig(width=16, heads=2, window=5, head_width=16)
 DEPTH = 10
@@ -30,7 +30,7 @@ DEPTH = 10
 
 @pytest.fixture(scope="module")
 def statistics(episodes):
-    return KinematicStream.fit(episodes)
+    return STREAMS["kinematic"].fit(episodes)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def window(episodes):
 @pytest.fixture(scope="module")
 def rolled(model):
     """The compiled rollout of a history under actions."""
-    return jax.jit(lambda params, history, actions: roll_out(model, params, history, actions))
+    return jax.jit(lambda params, history, actions: roll_out(model, params, model.encode(params, history), actions))
 
 
 @pytest.mark.parametrize("kind", BACKBONES)
@@ -104,11 +104,11 @@ def test_cached_steps_equal_the_whole_sequence(kind):
         x = jax.random.normal(jax.random.key(1), (17, 2, config.width), jnp.float64)
         valid = jnp.arange(17) >= 3
         sequence = jax.jit(lambda net, x, valid: net.sequence(x, valid))
-        step = jax.jit(lambda net, x, memory: net.step(x, memory))
+        step = jax.jit(lambda net, x, cache: net.step(x, cache))
         whole, _ = sequence(backbone, x, valid)
-        _, memory = sequence(backbone, x[:7], valid[:7])
+        _, cache = sequence(backbone, x[:7], valid[:7])
         for i in range(7, 17):
-            out, memory = step(backbone, x[i], memory)
+            out, cache = step(backbone, x[i], cache)
             np.testing.assert_allclose(out, whole[i], rtol=0, atol=1e-12)
         spoiled, _ = sequence(backbone, x.at[:3].add(1.0), valid)
         np.testing.assert_array_equal(spoiled[3:], whole[3:])
@@ -198,7 +198,7 @@ def test_a_key_makes_a_sample_and_none_is_deterministic(model, window, encode, s
     assert float(jnp.abs(drawn[0] - drawn[1]).max()) > 0
 
 
-def test_untrained_model_is_its_least_squares_skip_from_the_filtered_start(
+def test_untrained_model_is_its_least_squares_map_from_the_filtered_start(
     untrained, baseline, window, encode, rolled, errors
 ):
     observation, action = window
@@ -206,7 +206,7 @@ def test_untrained_model_is_its_least_squares_skip_from_the_filtered_start(
     a = rolled(untrained.params, history, action[7:])
     start = to_view(encode(untrained.params, history).carry.motion)
     history = history._replace(observation={"state": history.observation["state"].at[-1].set(start)})
-    b = jax.jit(lambda: roll_out(baseline, baseline.params, history, action[7:]))()
+    b = jax.jit(lambda: roll_out(baseline, baseline.params, baseline.encode(baseline.params, history), action[7:]))()
     assert float(jnp.abs(errors(a, b)).max()) < 1e-4
 
 
@@ -216,7 +216,7 @@ def test_gradient_through_a_rollout_is_finite(model, window):
     history = history_of(observation.at[:, 10:].set(0.0), action, 8, 8)
 
     def cost(actions):
-        return jnp.sum(roll_out(model, model.params, history, actions)[-1, :3])
+        return jnp.sum(roll_out(model, model.params, model.encode(model.params, history), actions)[-1, :3])
 
     gradient = jax.jit(jax.grad(cost))(jnp.zeros((4, 6), jnp.float32))
     assert bool(jnp.isfinite(gradient).all()) and float(jnp.abs(gradient).max()) > 0
@@ -296,7 +296,11 @@ def test_action_only_least_squares_moves_with_the_world_frame(episodes, window, 
             ]
         )
 
-    run = jax.jit(lambda o: roll_out(baseline, baseline.params, history_of(o, action, 8, 8), action[7:]))
+    @jax.jit
+    def run(observation):
+        start = baseline.encode(baseline.params, history_of(observation, action, 8, 8))
+        return roll_out(baseline, baseline.params, start, action[7:])
+
     move = jax.jit(jax.vmap(move))
     error = errors(move(run(observation)), run(move(observation)))
     assert float(jnp.abs(error).max()) < 1e-3
@@ -322,6 +326,26 @@ def test_no_batch_boundary_shows_in_the_scores(episodes):
 
 
 # Files
+
+
+def test_a_checkpoint_of_older_names_is_read(model):
+    """The words that `RENAMED` translates stood in configurations and weights until they became the field's."""
+    older = {new: old for old, new in RENAMED.items()}
+
+    def paths(tree):
+        leaves, _ = jax.tree_util.tree_flatten_with_path(tree)
+        return {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
+
+    contents = model.contents()
+    weights = {".".join(older.get(k, k) for k in path.split(".")): v for path, v in paths(contents.weights).items()}
+    assert {"kind", "action_encoder.rise.weight", "action_encoder.fall.bias"} <= set(weights)
+    config = {older.get(name, name): value for name, value in contents.config.items()}
+    assert "skip" in config
+    numbers = {name: value.tolist() for name, value in paths(contents.statistics).items()}
+    read = LearnedWorldModel.from_contents(contents._replace(config=config, weights=weights, statistics=numbers))
+    assert read.config == model.config
+    for a, b in zip(jax.tree.leaves(read.params), jax.tree.leaves(model.params), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("kind", ["learned", "least_squares", "constant_velocity"])

@@ -6,6 +6,7 @@ expressed in body axes. Nothing here canonicalises the sign of a quaternion.
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import ArrayLike, Float
 
 from astrojax._types import (
     FloatScalar,
@@ -53,6 +54,18 @@ def quat_normalize(q: Quaternion) -> Quaternion:
     valid = square > 0
     scaled = q * jax.lax.rsqrt(jnp.where(valid, square, 1.0))
     return jnp.where(valid, scaled, jnp.array([1.0, 0.0, 0.0, 0.0], dtype=q.dtype))
+
+
+def quat_sign(q: Float[ArrayLike, "... 4"], reference: Float[ArrayLike, "... 4"]) -> Float[ArrayLike, "..."]:
+    """The sign, 1 or -1, that brings a quaternion to the side of another: q and -q are one rotation.
+
+    Args:
+        q: (..., 4) NumPy or JAX array.
+        reference: (..., 4) that it is to be continuous with.
+    """
+    product = q * reference
+    cosine = product[..., 0] + product[..., 1] + product[..., 2] + product[..., 3]
+    return (1 - 2 * (cosine < 0)).astype(q.dtype)
 
 
 def quat_rotate(q: Quaternion, v: Vector3) -> Vector3:

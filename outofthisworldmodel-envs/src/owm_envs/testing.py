@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.utils import env_checker
 from jaxtyping import Array, Float
 
-from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply
+from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_sign
 from owm_envs.config.params import Params
 from owm_envs.dynamics import Dynamics, PhysicalState
 from owm_envs.env import DockingEnv
@@ -201,7 +201,7 @@ def _check_traces_and_jit(trial: _Trial) -> None:
 def _expect_alike(came: Array, expected: Array, tolerance: float, check: str, where: str) -> None:
     """Two views (..., 13) within the tolerance, part by part, whatever the sign of their quaternions."""
     came, expected = np.asarray(came), np.asarray(expected)
-    sign = np.where(np.sum(came[..., 6:10] * expected[..., 6:10], axis=-1, keepdims=True) < 0, -1, 1)
+    sign = quat_sign(came[..., 6:10], expected[..., 6:10])[..., None]
     came = np.concatenate([came[..., :6], came[..., 6:10] * sign, came[..., 10:]], axis=-1)
     for part, numbers in _PARTS.items():
         error = np.max(np.abs(came[..., numbers] - expected[..., numbers]))

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple, Protocol
 
+import jax
 from jaxtyping import Array, Bool, Float, Key, PyTree, Shaped
 
 
@@ -51,3 +52,26 @@ class WorldModel(Protocol):
 
     def decode(self, params: PyTree, state: Any) -> dict[str, Array]:
         """Read a state out as parts, named as an observation's; "state" is the 13-number view in the station frame."""
+
+
+def roll_out(
+    model: WorldModel,
+    params: PyTree,
+    state: Any,
+    actions: Float[Array, "T 6"],
+    *,
+    keys: Key[Array, "T"] | None = None,
+) -> Float[Array, "T 13"]:
+    """Predict the view after each of a sequence of held actions.
+
+    Args:
+        state: from `encode`.
+        actions: body force (N) and torque (N m), each held for `model.dt`.
+        keys: one a step for a sample; the deterministic prediction when None.
+    """
+
+    def advance(state: Any, given: tuple[Array | None, Array]) -> tuple[Any, Array]:
+        state = model.step(params, *given, state)
+        return state, model.decode(params, state)["state"]
+
+    return jax.lax.scan(advance, state, (keys, actions))[1]

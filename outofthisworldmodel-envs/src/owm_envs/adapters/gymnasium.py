@@ -116,7 +116,7 @@ class _Shell:
             f"t {seconds:6.1f} s   {OUTCOME_NAMES[int(host.outcome[slot])]}",
             f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
             f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
-            f"clearance {float(host.room.least[slot]):6.2f} m (least)",
+            f"clearance {float(host.clearance.least[slot]):6.2f} m (least)",
         ]
         boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
         return draw_schematic(boxes, goal_poses(), view, np.asarray(self._paths[slot]), port, lines)

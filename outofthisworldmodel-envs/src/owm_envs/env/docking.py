@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Shaped
 
+from astrojax.attitude import quat_sign
 from astrojax.compilation import all_of, stored, summed
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.config.params import Params, params_from_config
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
-from owm_envs.task.collision import Room, advance_room, room_at
+from owm_envs.task.collision import Clearance, advance_clearance, clearance_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
 from owm_envs.task.navigation import RelativeNavigation, advance_bias, goal_error, start_bias
 from owm_envs.task.observation import ObservationLayout
@@ -50,7 +51,7 @@ class EnvState(NamedTuple):
     """An `Outcome`."""
     collided: Bool[Array, ""]
     """Whether the hull was ever touched."""
-    room: Room
+    clearance: Clearance
     """Of the bounding sphere to the keep-out boxes."""
     closest: Closest
     actuators: ActuatorState
@@ -184,7 +185,7 @@ class DockingEnv:
         bias = None
         if self.structure.biased:
             bias = start_bias(start.view.dtype, key=self._bias_key(noise_key, 0))
-        room = room_at(start.view[:3], params.chaser.radius, self._boxes(params))
+        clearance = clearance_at(start.view[:3], params.chaser.radius, self._boxes(params))
         error = goal_error(start.view, params.goals[start.port])
         return EnvState(
             physics=physics,
@@ -194,8 +195,8 @@ class DockingEnv:
             port=start.port,
             count=jnp.zeros((), jnp.int32),
             outcome=jnp.asarray(Outcome.RUNNING, jnp.int32),
-            collided=room.now <= 0,
-            room=room,
+            collided=clearance.now <= 0,
+            clearance=clearance,
             closest=Closest(*error_norms(error), jnp.copy(physics.elapsed)),
             actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
             bias=bias,
@@ -280,9 +281,9 @@ class DockingEnv:
         """The same episode with its chaser at another true relative view; the next step measures its clearance."""
         params = episode_params(params, state.drawn)
         physics = self.dynamics.init(params, state.physics.epoch, view)
-        unknown = state.room._replace(now=jnp.zeros_like(state.room.now))
+        unknown = state.clearance._replace(now=jnp.zeros_like(state.clearance.now))
         return state._replace(
-            physics=physics, view=view, error=goal_error(view, params.goals[state.port]), room=unknown
+            physics=physics, view=view, error=goal_error(view, params.goals[state.port]), clearance=unknown
         )
 
     def info(self, params: Params, state: EnvState) -> dict[str, Array]:
@@ -304,7 +305,7 @@ class DockingEnv:
             "outcome": state.outcome,
             "is_success": state.outcome == Outcome.DOCKED,
             "collided": state.collided,
-            "clearance": state.room.least,
+            "clearance": state.clearance.least,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
             **({} if state.drawn is None else {f"drawn_{k}": v for k, v in state.drawn._asdict().items()}),
         }
@@ -316,10 +317,11 @@ class DockingEnv:
         physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
-        sign = jnp.where(summed(view[6:10] * state.view[6:10]) < 0, -1, 1).astype(view.dtype)
-        view = stored(view.at[6:10].multiply(sign))
+        view = stored(view.at[6:10].multiply(quat_sign(view[6:10], state.view[6:10])))
 
-        room, touches = advance_room(state.room, state.view[:3], view[:3], params.chaser.radius, self._boxes(params))
+        clearance, touches = advance_clearance(
+            state.clearance, state.view[:3], view[:3], params.chaser.radius, self._boxes(params)
+        )
         error = stored(goal_error(view, params.goals[state.port]))
         norms = stored(error_norms(error))
         approach = Closest(*norms, physics.elapsed)
@@ -339,7 +341,7 @@ class DockingEnv:
             error=error,
             outcome=outcome,
             collided=state.collided | touches,
-            room=room,
+            clearance=clearance,
             closest=closest,
         )
         return state, touches

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-_UNREACHED = 1.0e4  # larger than any phi; its square still fits float32 with room
+_UNREACHED = 1.0e4  # larger than any phi; its square still fits float32 easily
 
 
 @dataclass(frozen=True)
@@ -122,19 +122,19 @@ def grid_clearance(boxes: Float[Array, "N 2 3"], sphere_radius: float, grid: Gri
     return jax.lax.scan(nearer, far, boxes)[0] - sphere_radius
 
 
-def _speed(points: Array, room: Array, goal: Array, normal: Array, config: FieldConfig) -> Array:
-    """Speed at points (..., 3) whose clearance is `room`."""
+def _speed(points: Array, clearance: Array, goal: Array, normal: Array, config: FieldConfig) -> Array:
+    """Speed at points (..., 3) whose clearance is `clearance`."""
     offset = points - goal
     distance = jnp.sqrt(jnp.sum(offset**2, axis=-1))
     along = offset @ normal
     slope = (1.0 - config.touching_speed) / config.slow_distance
-    open_space = jnp.clip(config.touching_speed + slope * room, config.touching_speed, 1.0)
+    open_space = jnp.clip(config.touching_speed + slope * clearance, config.touching_speed, 1.0)
     beside = along < math.cos(math.radians(config.side_half_angle_deg)) * distance
     near = (distance > config.side_range[0]) & (distance < config.side_range[1])
     speed = jnp.where(beside & near, jnp.minimum(open_space, config.side_speed), open_space)
     corridor = (along > math.cos(math.radians(config.cone_half_angle_deg)) * distance) & (distance < config.cone_length)
     speed = jnp.where(corridor | (distance < config.exact_radius), 1.0, speed)
-    return jnp.where(room < 0.0, config.inside_speed, speed)
+    return jnp.where(clearance < 0.0, config.inside_speed, speed)
 
 
 def _godunov(phi: Array, cost: Array) -> Array:
@@ -155,21 +155,21 @@ def _godunov(phi: Array, cost: Array) -> Array:
 
 
 @functools.partial(jax.jit, static_argnames=("grid", "config"))
-def solve_fine(room: Array, goal: Array, normal: Array, grid: Grid, config: FieldConfig) -> Array:
+def solve_fine(clearance: Array, goal: Array, normal: Array, grid: Grid, config: FieldConfig) -> Array:
     """phi on the fine grid."""
     points = jnp.asarray(grid.points())
-    speed = _speed(points, room, goal, normal, config)
+    speed = _speed(points, clearance, goal, normal, config)
     is_open = (speed >= 1.0).reshape(-1)
     offset = points - goal
     distance = jnp.sqrt(jnp.sum(offset**2, axis=-1))
 
     # Nodes that see the goal through open space hold the exact distance: no smaller value is possible.
     samples = math.ceil(grid.spacing * math.dist(grid.shape, (0, 0, 0)) / (1.5 * grid.spacing))
-    start, step = (goal - jnp.asarray(grid.origin, dtype=room.dtype)) / grid.spacing, offset / grid.spacing
+    start, step = (goal - jnp.asarray(grid.origin, dtype=clearance.dtype)) / grid.spacing, offset / grid.spacing
     strides = jnp.asarray([grid.shape[1] * grid.shape[2], grid.shape[2], 1], dtype=jnp.int32)
 
     def look(k, seen):
-        nearest = jnp.round(start + step * ((k + 1.0) / samples).astype(room.dtype)).astype(jnp.int32)
+        nearest = jnp.round(start + step * ((k + 1.0) / samples).astype(clearance.dtype)).astype(jnp.int32)
         return seen & is_open[jnp.sum(nearest * strides, axis=-1)]
 
     seen = jax.lax.fori_loop(0, samples, look, jnp.ones(grid.shape, dtype=bool))
@@ -264,8 +264,8 @@ def solve_coarse(phi_fine: np.ndarray, goal: np.ndarray, fine: Grid, coarse: Gri
         phi[chosen] = _hopf_lax(points[chosen], phi_fine, fine, stride)
     # The straight way to the goal, through the very point where it enters the fine grid.
     ray = points[outside] - goal
-    room = np.where(ray > 0.0, upper - goal, goal - lower)
-    entry = goal + ray * np.min(room / np.maximum(np.abs(ray), 1e-9), axis=-1, keepdims=True)
+    extent = np.where(ray > 0.0, upper - goal, goal - lower)
+    entry = goal + ray * np.min(extent / np.maximum(np.abs(ray), 1e-9), axis=-1, keepdims=True)
     straight = np.linalg.norm(entry - goal, axis=-1)
     detour = _trilinear(phi_fine - np.linalg.norm(fine.points() - goal, axis=-1), fine, entry)
     phi[outside] = np.minimum(phi[outside], detour + straight + np.linalg.norm(points[outside] - entry, axis=-1))

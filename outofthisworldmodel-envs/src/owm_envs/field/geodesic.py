@@ -105,7 +105,7 @@ class GeodesicField(NamedTuple):
 # ---------------------------------------------------------------- look-up
 
 
-def _safe_norm(vector: Float[Array, "3"]) -> tuple[Array, Array]:
+def _norm_and_direction(vector: Float[Array, "3"]) -> tuple[Array, Array]:
     """Norm and unit vector, zero with zero gradient at the origin."""
     square = jnp.sum(vector * vector)
     positive = square > 0.0
@@ -154,7 +154,7 @@ def cost_to_go(
     detour, *gradient = jnp.dot(weights, field.nodes[port_index, index], precision=_EXACT)
     # Beyond the coarse grid the detour stays what it is at the edge.
     gradient = jnp.where(excess == 0.0, jnp.stack(gradient), 0.0)
-    distance, away = _safe_norm(where_to - field.goals[port_index])
+    distance, away = _norm_and_direction(where_to - field.goals[port_index])
     phi, gradient = distance + detour, away + gradient
     return phi.astype(position.dtype), gradient.astype(position.dtype)
 
@@ -189,10 +189,10 @@ def _pack(fine_detour: np.ndarray, coarse_detour: np.ndarray, fine: Grid, coarse
     return np.concatenate([table.reshape(-1, 4) for table in tables])
 
 
-def _field(detours: list, rooms: list, goals: np.ndarray, grids: tuple[Grid, Grid]) -> GeodesicField:
+def _field(detours: list, clearances: list, goals: np.ndarray, grids: tuple[Grid, Grid]) -> GeodesicField:
     return GeodesicField(
         nodes=jnp.asarray(np.stack([_pack(fine, coarse, *grids) for fine, coarse in detours])),
-        clearances=jnp.asarray(np.concatenate([np.asarray(room, np.float32).reshape(-1) for room in rooms])),
+        clearances=jnp.asarray(np.concatenate([np.asarray(x, np.float32).reshape(-1) for x in clearances])),
         origins=jnp.asarray([grid.origin for grid in grids], dtype=jnp.float32),
         spacings=jnp.asarray([grid.spacing for grid in grids], dtype=jnp.float32),
         shapes=jnp.asarray([grid.shape for grid in grids], dtype=jnp.int32),
@@ -201,11 +201,11 @@ def _field(detours: list, rooms: list, goals: np.ndarray, grids: tuple[Grid, Gri
 
 
 def _solve_port(
-    room_fine: Array, goal: np.ndarray, normal: np.ndarray, grids: tuple[Grid, Grid], config: FieldConfig
+    fine_clearance: Array, goal: np.ndarray, normal: np.ndarray, grids: tuple[Grid, Grid], config: FieldConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """The detour of one port at the nodes of both grids."""
     fine, coarse = grids
-    phi = solve_fine(room_fine, jnp.asarray(goal, jnp.float32), jnp.asarray(normal, jnp.float32), fine, config)
+    phi = solve_fine(fine_clearance, jnp.asarray(goal, jnp.float32), jnp.asarray(normal, jnp.float32), fine, config)
     phi = np.asarray(phi)
     straight = [np.linalg.norm(grid.points() - goal, axis=-1) for grid in grids]
     on_fine = (phi - straight[0]).astype(np.float32)
@@ -250,9 +250,9 @@ def solve_field(
     config = FieldConfig() if config is None else config
     boxes, goals, normals = _checked(boxes, goals, normals, sphere_radius)
     grids = grid_layout(boxes, goals, normals, sphere_radius, config)
-    rooms = [grid_clearance(jnp.asarray(boxes, jnp.float32), sphere_radius, grid) for grid in grids]
-    detours = [_solve_port(rooms[0], goal, normal, grids, config) for goal, normal in zip(goals, normals)]
-    return _field(detours, rooms, goals, grids)
+    clearances = [grid_clearance(jnp.asarray(boxes, jnp.float32), sphere_radius, grid) for grid in grids]
+    detours = [_solve_port(clearances[0], goal, normal, grids, config) for goal, normal in zip(goals, normals)]
+    return _field(detours, clearances, goals, grids)
 
 
 def _cache_dir() -> Path:
@@ -331,10 +331,10 @@ def load_field(
     folder, common = _cache_dir(), (config, grids, _SPHERE_RADIUS, boxes)
 
     path = folder / f"clearance-{_digest('clearance', *common)}.npz"
-    rooms = _read(path, shapes)
-    if rooms is None:
-        rooms = [np.asarray(grid_clearance(jnp.asarray(boxes, jnp.float32), _SPHERE_RADIUS, g)) for g in grids]
-        _write(path, *rooms)
+    clearances = _read(path, shapes)
+    if clearances is None:
+        clearances = [np.asarray(grid_clearance(jnp.asarray(boxes, jnp.float32), _SPHERE_RADIUS, g)) for g in grids]
+        _write(path, *clearances)
     paths = {r: folder / f"{PORT_NAMES[r]}-{_digest(goals[r], normals[r], *common)}.npz" for r in rows}
     detours = {r: _read(path, shapes) for r, path in paths.items()}
     missing = [r for r, values in detours.items() if values is None]
@@ -342,10 +342,10 @@ def load_field(
         with _reporter(progress) as report:
             for done, r in enumerate(missing):
                 report(f"solving the geodesic field of {PORT_NAMES[r]}", done, len(missing))
-                detours[r] = _solve_port(jnp.asarray(rooms[0]), goals[r], normals[r], grids, config)
+                detours[r] = _solve_port(jnp.asarray(clearances[0]), goals[r], normals[r], grids, config)
                 _write(paths[r], *detours[r])
             report("geodesic field ready", len(missing), len(missing))
-    return _field([detours[r] for r in rows], rooms, goals[rows], grids)
+    return _field([detours[r] for r in rows], clearances, goals[rows], grids)
 
 
 @contextlib.contextmanager

@@ -49,31 +49,8 @@ class DockGeodesicPolicy:
     def act(self, state, observation):
         """Track the field's velocity."""
         view = read_view(self.layout, observation)
-        accel, angular = self.track(state, view)
-        return self.layout.action(self.wrench(view, accel, angular)), state
-
-    def track(self, port: Int[Array, ""], view: View) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-        """The accelerations that lead to the field's velocity and towards the port's attitude: station, body axes."""
-        dtype = view.position.dtype
-        row = jnp.asarray(self.rows)[port]
-        cost, gradient = cost_to_go(self.field, jnp.maximum(row, 0), view.position)
-        cost = jnp.where(row < 0, jnp.nan, cost)
-        gap = clearance(self.field, view.position)
-        cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
-        speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
-        speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
-        wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
-        error = attitude_error(view, goal_of(port, dtype)[1])
-        angle = safe_norm(error)
-        turn = jnp.minimum(0.05, jnp.minimum(jnp.sqrt(0.02 * jnp.maximum(angle, 1e-9)), angle / 5.0))
-        rate = turn * error / jnp.maximum(angle, 1e-9)
-        return (wanted - view.velocity) / 2.0, (rate - view.rate) / 2.0
-
-    def wrench(self, view: View, accel: Float[Array, "3"], angular: Float[Array, "3"]) -> Float[Array, "6"]:
-        """The body wrench [N, N m] of accelerations in station and body axes, the force within its limit."""
-        force = quat_rotate(quat_conjugate(view.attitude), self.vehicle.mass * accel)
-        torque = jnp.asarray(self.vehicle.inertia, angular.dtype) * angular
-        return jnp.concatenate([limit_norm(force, self.vehicle.force_limit), torque])
+        accel, angular = _track(self.field, self.rows, state, view)
+        return self.layout.action(_wrench(self.vehicle, view, accel, angular)), state
 
 
 class Integral(NamedTuple):
@@ -86,7 +63,7 @@ class Integral(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class DockGeodesicIntegralPolicy(DockGeodesicPolicy):
+class DockGeodesicIntegralPolicy:
     """`dock-geodesic` with integral action, which holds a steady disturbance off the hold pose.
 
     Within 3 m and 0.2 rad of the goal the errors are integrated, 0.008 / s3 of position and 0.006 / s3 of attitude: a
@@ -94,6 +71,10 @@ class DockGeodesicIntegralPolicy(DockGeodesicPolicy):
     leaks with a time constant of 60 s wherever the chaser is, and it is held to 0.3 of what the thrusters can do.
     """
 
+    vehicle: Vehicle
+    field: Any
+    rows: Int[Array, "8"]
+    layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic-integral", metadata=_STATIC)
 
     def init(self, key, port):
@@ -104,8 +85,8 @@ class DockGeodesicIntegralPolicy(DockGeodesicPolicy):
         """Track the field's velocity with what has been added up."""
         view = read_view(self.layout, observation)
         dtype, vehicle = view.position.dtype, self.vehicle
-        accel, angular = self.track(state.port, view)
-        command = self.wrench(view, accel + state.accel, angular + state.angular)
+        accel, angular = _track(self.field, self.rows, state.port, view)
+        command = _wrench(vehicle, view, accel + state.accel, angular + state.angular)
 
         position, attitude = goal_of(state.port, dtype)
         offset, turn = position - view.position, attitude_error(view, attitude)
@@ -122,3 +103,30 @@ class DockGeodesicIntegralPolicy(DockGeodesicPolicy):
             jnp.clip(turned, -most, most).astype(state.angular.dtype),
         )
         return self.layout.action(command), following
+
+
+def _track(
+    geodesic_field: GeodesicField, rows: Int[Array, "8"], port: Int[Array, ""], view: View
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """The accelerations that lead to the field's velocity and towards the port's attitude: station, body axes."""
+    dtype = view.position.dtype
+    row = jnp.asarray(rows)[port]
+    cost, gradient = cost_to_go(geodesic_field, jnp.maximum(row, 0), view.position)
+    cost = jnp.where(row < 0, jnp.nan, cost)
+    gap = clearance(geodesic_field, view.position)
+    cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
+    speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
+    speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
+    wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
+    error = attitude_error(view, goal_of(port, dtype)[1])
+    angle = safe_norm(error)
+    turn = jnp.minimum(0.05, jnp.minimum(jnp.sqrt(0.02 * jnp.maximum(angle, 1e-9)), angle / 5.0))
+    rate = turn * error / jnp.maximum(angle, 1e-9)
+    return (wanted - view.velocity) / 2.0, (rate - view.rate) / 2.0
+
+
+def _wrench(vehicle: Vehicle, view: View, accel: Float[Array, "3"], angular: Float[Array, "3"]) -> Float[Array, "6"]:
+    """The body wrench [N, N m] of accelerations in station and body axes, the force within its limit."""
+    force = quat_rotate(quat_conjugate(view.attitude), vehicle.mass * accel)
+    torque = jnp.asarray(vehicle.inertia, angular.dtype) * angular
+    return jnp.concatenate([limit_norm(force, vehicle.force_limit), torque])

@@ -13,8 +13,8 @@ _SHARPNESS = 0.95
 """The least clearance is known to this fraction of itself."""
 
 
-class Room(NamedTuple):
-    """How much room a moving sphere has, and has had, to the nearest box; m."""
+class Clearance(NamedTuple):
+    """The clearance of a moving sphere to the nearest box, now and so far; m."""
 
     now: Float[Array, ""]
     """At most the present clearance: what was last measured, less the way gone since."""
@@ -24,31 +24,31 @@ class Room(NamedTuple):
     """The least of those measured: what `now` falls to without a measurement must not lower the bar for the next."""
 
 
-def room_at(point: Float[Array, "3"], radius: Float[Array, ""], boxes: Float[Array, "N 2 3"]) -> Room:
-    """The room of a sphere at rest."""
-    clearance = swept_clearance(point, point, radius, boxes)
+def clearance_at(point: Float[Array, "3"], radius: Float[Array, ""], boxes: Float[Array, "N 2 3"]) -> Clearance:
+    """The clearance of a sphere at rest."""
+    now = swept_clearance(point, point, radius, boxes)
     # Copies: a caller may donate the state, and no buffer can be given away twice.
-    return Room(clearance, jnp.copy(clearance), jnp.copy(clearance))
+    return Clearance(now, jnp.copy(now), jnp.copy(now))
 
 
-def advance_room(
-    room: Room,
+def advance_clearance(
+    known: Clearance,
     start: Float[Array, "3"],
     end: Float[Array, "3"],
     radius: Float[Array, ""],
     boxes: Float[Array, "N 2 3"],
-) -> tuple[Room, Bool[Array, ""]]:
-    """The room after a move from `start` to `end`, and whether the sphere touched a box on the way, exactly.
+) -> tuple[Clearance, Bool[Array, ""]]:
+    """The clearance after a move from `start` to `end`, and whether the sphere touched a box on the way, exactly.
 
-    Boxes are looked at only when the way gone might have used the room up, or made it the least so far by more than a
-    twentieth: far from the hull once in many steps, in a batch for the few episodes that need it.
+    Boxes are looked at only when the way gone might have used the clearance up, or made it the least so far by more
+    than a twentieth: far from the hull once in many steps, in a batch for the few episodes that need it.
     """
-    room, start, end, radius, boxes = jax.lax.stop_gradient((room, start, end, radius, boxes))
-    left = room.now - jnp.sqrt(summed((end - start) ** 2))
-    unsure = ~(left > _SHARPNESS * jnp.maximum(room.seen, 0))
+    known, start, end, radius, boxes = jax.lax.stop_gradient((known, start, end, radius, boxes))
+    left = known.now - jnp.sqrt(summed((end - start) ** 2))
+    unsure = ~(left > _SHARPNESS * jnp.maximum(known.seen, 0))
     now = _measured_where(unsure, left, start, end, radius, boxes)
-    seen = jnp.where(unsure, jnp.minimum(room.seen, now), room.seen)
-    return Room(now, jnp.minimum(room.least, now), seen), now <= 0
+    seen = jnp.where(unsure, jnp.minimum(known.seen, now), known.seen)
+    return Clearance(now, jnp.minimum(known.least, now), seen), now <= 0
 
 
 @jax.custom_batching.custom_vmap

@@ -44,7 +44,11 @@ def error_norms(error: Float[Array, "12"]) -> Float[Array, "4"]:
 
 def safe_norm(vectors: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """Euclidean norm over the last axis with a zero gradient at the origin."""
-    squared = summed(jnp.moveaxis(vectors * vectors, -1, 0))
+    return safe_root(summed(jnp.moveaxis(vectors * vectors, -1, 0)))
+
+
+def safe_root(squared: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Square root with a zero gradient at zero."""
     positive = squared > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1)), 0)
 

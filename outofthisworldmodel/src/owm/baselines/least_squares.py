@@ -58,7 +58,7 @@ def fit_least_squares(episodes: Episodes, *, motion: bool = True, history_length
 
     Args:
         episodes: measured transitions; the truth is not used.
-        motion: fit orbital and gyroscopic terms too, as the skip under the network does; otherwise the action's effect
+        motion: fit orbital and gyroscopic terms too, as the map under the network does; otherwise the action's effect
             alone.
         history_length: `H` to report, so that it takes the same histories as the model beside it.
     """

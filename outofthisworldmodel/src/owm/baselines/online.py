@@ -104,7 +104,7 @@ class OnlineLeastSquares:
 
 
 @dataclass(frozen=True)
-class OnlineSkip:
+class OnlineBase:
     """The same for the linear map under a kinematic world model; the network's part stays as trained."""
 
     linear: OnlineLeastSquares

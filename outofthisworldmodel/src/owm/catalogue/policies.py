@@ -193,11 +193,11 @@ def load_policy(
 
     model, learner = load_model(policy, config), None
     if kind in _ONLINE.values():
-        from owm.baselines.online import OnlineLeastSquares, OnlineSkip
+        from owm.baselines.online import OnlineBase, OnlineLeastSquares
 
         learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
         if kind == _ONLINE["world model"]:
-            learner = OnlineSkip(learner)
+            learner = OnlineBase(learner)
     made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
     made.name = name
     return made

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
+from astrojax.attitude import quat_sign
 from owm.interface import History
 from owm_envs.task.sensors import STATE
 
@@ -203,8 +204,7 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
 def _continuous(views: np.ndarray) -> np.ndarray:
     """Flip quaternion signs so that neighbours along the first axis lie on the same side."""
     q = views[:, 6:10]
-    flip = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
-    sign = np.concatenate([[1.0], np.cumprod(flip)])
+    sign = np.concatenate([[1.0], np.cumprod(quat_sign(q[1:], q[:-1]))])
     views = views.copy()
     views[:, 6:10] = q * sign[:, None]
     return views

@@ -14,21 +14,21 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
 from owm.model.config import ModelConfig
-from owm.model.transformer import Backbone, Linear, Norm, Perceptron
+from owm.model.transformer import MLP, Backbone, Linear, Norm
 
 
 class SequenceModel(Protocol):
     """A causal network over the tokens of each step, the last of which is the action's: nothing is read from it."""
 
     def sequence(self, x: Float[Array, "T n d"], valid: Bool[Array, "T"]) -> tuple[Float[Array, "T n-1 d"], PyTree]:
-        """Run a whole sequence; also return the memory for later steps. None sees earlier steps that are not valid."""
+        """Run a whole sequence; also return the cache for later steps. None sees earlier steps that are not valid."""
 
-    def step(self, x: Float[Array, "n d"], memory: PyTree) -> tuple[Float[Array, "n-1 d"], PyTree]:
+    def step(self, x: Float[Array, "n d"], cache: PyTree) -> tuple[Float[Array, "n-1 d"], PyTree]:
         """Run one further step."""
 
 
 class GatedRecurrent(eqx.Module):
-    """One gated recurrent unit; its memory is its hidden state. Source: Cho et al. (2014), eq. 5-8."""
+    """One gated recurrent unit; its cache is its hidden state. Source: Cho et al. (2014), eq. 5-8."""
 
     gates: Linear
     candidate: Linear
@@ -57,23 +57,21 @@ class GatedRecurrent(eqx.Module):
         hidden, outputs = jax.lax.scan(advance, jnp.zeros(self.candidate.bias.shape, x.dtype), (x, valid))
         return outputs, hidden
 
-    def step(
-        self, x: Float[Array, "n d"], memory: Float[Array, "h"]
-    ) -> tuple[Float[Array, "n-1 d"], Float[Array, "h"]]:
+    def step(self, x: Float[Array, "n d"], cache: Float[Array, "h"]) -> tuple[Float[Array, "n-1 d"], Float[Array, "h"]]:
         """Run one further step."""
         inputs = x.reshape(-1)  # (n, d) -> (n d)
-        reset, keep = jnp.split(jax.nn.sigmoid(self.gates(jnp.concatenate([inputs, memory]))), 2)
-        fresh = jnp.tanh(self.candidate(jnp.concatenate([inputs, reset * memory])))
-        hidden = keep * memory + (1.0 - keep) * fresh
+        reset, keep = jnp.split(jax.nn.sigmoid(self.gates(jnp.concatenate([inputs, cache]))), 2)
+        fresh = jnp.tanh(self.candidate(jnp.concatenate([inputs, reset * cache])))
+        hidden = keep * cache + (1.0 - keep) * fresh
         return self.norm(x[:-1] + self.out(hidden).reshape(x[:-1].shape)), hidden
 
 
 class FeedForward(eqx.Module):
-    """A residual perceptron on the tokens of the last `window` steps side by side, which are its memory."""
+    """A residual MLP on the tokens of the last `window` steps side by side, which are its cache."""
 
-    rise: Linear
+    up: Linear
     norms: tuple[Norm, ...]
-    layers: tuple[Perceptron, ...]
+    layers: tuple[MLP, ...]
     out: Linear
     norm: Norm
     window: int = eqx.field(static=True)
@@ -83,10 +81,10 @@ class FeedForward(eqx.Module):
         # 6 blocks h^2 + (inputs + 1 + 6 blocks + outputs) h + outputs parameters
         count = 6 * config.blocks
         hidden = _root(count, inputs + 1 + count + outputs, outputs + config.width - _transformer_size(config))
-        k_rise, k_out, *k_layers = jax.random.split(key, 2 + config.blocks)
-        self.rise = Linear(inputs, hidden, dtype, key=k_rise)
+        k_up, k_out, *k_layers = jax.random.split(key, 2 + config.blocks)
+        self.up = Linear(inputs, hidden, dtype, key=k_up)
         self.norms = tuple(Norm(hidden, dtype) for _ in k_layers)
-        self.layers = tuple(Perceptron(hidden, 2 * hidden, hidden, dtype, key=k) for k in k_layers)
+        self.layers = tuple(MLP(hidden, 2 * hidden, hidden, dtype, key=k) for k in k_layers)
         self.out = Linear(hidden, outputs, dtype, key=k_out)
         self.norm = Norm(config.width, dtype)
         self.window = config.window
@@ -97,15 +95,15 @@ class FeedForward(eqx.Module):
         """Run a whole sequence; steps that are not valid, or before it, are zeros to later ones."""
         past = jnp.concatenate([jnp.zeros((self.window - 1, *x.shape[1:]), x.dtype), x * valid[:, None, None]])
         recent = past[np.arange(len(x))[:, None] + np.arange(self.window - 1)]  # (T, W-1, n, d)
-        outputs = jax.vmap(lambda x, memory: self.step(x, memory)[0])(x, recent)
+        outputs = jax.vmap(lambda x, cache: self.step(x, cache)[0])(x, recent)
         return outputs, past[len(x) :]
 
     def step(
-        self, x: Float[Array, "n d"], memory: Float[Array, "W-1 n d"]
+        self, x: Float[Array, "n d"], cache: Float[Array, "W-1 n d"]
     ) -> tuple[Float[Array, "n-1 d"], Float[Array, "W-1 n d"]]:
         """Run one further step."""
-        recent = jnp.concatenate([memory, x[None]])
-        hidden = self.rise(recent.reshape(-1))  # (W, n, d) -> (W n d)
+        recent = jnp.concatenate([cache, x[None]])
+        hidden = self.up(recent.reshape(-1))  # (W, n, d) -> (W n d)
         for norm, layer in zip(self.norms, self.layers, strict=True):
             hidden = hidden + layer(norm(hidden))
         return self.norm(x[:-1] + self.out(jax.nn.silu(hidden)).reshape(x[:-1].shape)), recent[1:]

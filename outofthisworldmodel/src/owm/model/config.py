@@ -13,7 +13,7 @@ class ModelConfig(BaseModel):
     stream: Literal["kinematic", "adaptive", "latent"] = "kinematic"
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, on those of a
     vehicle found in its history, or all learned."""
-    skip: Literal["bilinear", "learned", "none"] = "bilinear"
+    base_dynamics: Literal["bilinear", "learned", "none"] = "bilinear"
     """What the latent stream adds to the network's prediction: a least-squares map of its features, a quadratic layer
     trained like all other weights, or nothing."""
     backbone: Literal["transformer", "gru", "mlp"] = "transformer"
@@ -31,11 +31,11 @@ class ModelConfig(BaseModel):
     window: PositiveInt = 8
     """Steps that attention or the feed-forward network reach back, the current one included."""
     mlp_ratio: PositiveInt = 2
-    """Hidden width of a block's perceptron, in token dimensions."""
+    """Hidden width of a block's MLP, in token dimensions."""
     head_width: PositiveInt = 32
     """Width of the flow head, at most `width`."""
     head_blocks: PositiveInt = 1
-    """Residual perceptrons in the flow head."""
+    """Residual MLPs in the flow head."""
     head_heads: NonNegativeInt = 0
     """Attention heads with which each of them lets the tokens of a step see each other; with 0 a token is by itself."""
     head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
@@ -61,10 +61,10 @@ PRESETS: dict[str, ModelConfig] = {
     "nano": ModelConfig(),
     "small": ModelConfig(width=64, blocks=2, window=16, head_width=64),
     "adaptive": ModelConfig(stream="adaptive", history_length=64),
-    "latent": ModelConfig(stream="latent", skip="learned"),
+    "latent": ModelConfig(stream="latent", base_dynamics="learned"),
     "paper": ModelConfig(
         stream="latent",
-        skip="none",
+        base_dynamics="none",
         width=128,
         blocks=4,
         heads=8,

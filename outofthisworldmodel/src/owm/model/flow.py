@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from owm.model.config import ModelConfig
-from owm.model.transformer import Attention, Linear, Norm, Perceptron
+from owm.model.transformer import MLP, Linear, Norm, SelfAttention
 
 SAME_LEVEL = 0.6
 """Share of mean-flow draws with both levels equal, which train the instantaneous flow that the others rest on."""
@@ -33,9 +33,9 @@ class FlowHead(eqx.Module):
     """
 
     join: Linear
-    mixing: tuple[tuple[Norm, Attention] | None, ...]
+    mixing: tuple[tuple[Norm, SelfAttention] | None, ...]
     norms: tuple[Norm, ...]
-    layers: tuple[Perceptron, ...]
+    layers: tuple[MLP, ...]
     out: Linear
     residual: int = eqx.field(static=True)
     plain: bool = eqx.field(static=True)
@@ -46,13 +46,13 @@ class FlowHead(eqx.Module):
         width, heads = config.head_width, config.head_heads
         self.join = Linear(config.width + residual + 4, width, dtype, key=k_join)
 
-        def mixing(key: Key[Array, ""]) -> tuple[Norm, Attention] | None:
-            return (Norm(width, dtype), Attention(width, heads, dtype, key=key)) if heads else None
+        def mixing(key: Key[Array, ""]) -> tuple[Norm, SelfAttention] | None:
+            return (Norm(width, dtype), SelfAttention(width, heads, dtype, key=key)) if heads else None
 
         # Where a token's residual depends on those of the others: all of a step are denoised together.
         self.mixing = tuple(mixing(jax.random.fold_in(k, 1)) for k in k_layers)
         self.norms = tuple(Norm(width, dtype) for _ in k_layers)
-        self.layers = tuple(Perceptron(width, 2 * width, width, dtype, key=k) for k in k_layers)
+        self.layers = tuple(MLP(width, 2 * width, width, dtype, key=k) for k in k_layers)
         # Zero at first: an untrained model predicts what its analytic and linear parts predict.
         self.out = Linear(width, 2 * residual, dtype, key=k_out, scale=0.0)
         self.residual = residual
@@ -69,7 +69,7 @@ class FlowHead(eqx.Module):
         for mixing, norm, layer in zip(self.mixing, self.norms, self.layers, strict=True):
             if mixing is not None:
                 before, attention = mixing
-                x = x + attention.among(before(x))
+                x = x + attention(before(x))
             x = x + layer(norm(x))
         offset, gain = jnp.split(self.out(jax.nn.silu(x)), 2, axis=-1)
         out = offset + gain * noised

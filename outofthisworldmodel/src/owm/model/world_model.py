@@ -15,31 +15,34 @@ from owm.model.backbones import BACKBONES, SequenceModel
 from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.streams import STREAMS, Stream
-from owm.model.transformer import Perceptron
+from owm.model.transformer import MLP
 from owm_envs.task.sensors import STATE
+
+RENAMED = {"skip": "base_dynamics", "rise": "up", "fall": "down", "kind": "token_type"}
+"""What older checkpoints call fields of their configuration and parts of the paths of their weights."""
 
 
 class Network(eqx.Module):
     """The trained weights: the stream's own, an encoder of the action, the backbone and the flow head."""
 
     stream: Stream
-    action_encoder: Perceptron
-    kind: Float[Array, "n+1 d"]
+    action_encoder: MLP
+    token_type: Float[Array, "n+1 d"]
     backbone: SequenceModel
     head: FlowHead
 
     def __init__(self, config: ModelConfig, *, key: Key[Array, ""], dtype: jnp.dtype = jnp.float32):
-        k_stream, k_action, k_kind, k_backbone, k_head = jax.random.split(key, 5)
+        k_stream, k_action, k_type, k_backbone, k_head = jax.random.split(key, 5)
         self.stream = STREAMS[config.stream](config, dtype, key=k_stream)
-        self.action_encoder = Perceptron(6, 2 * config.width, config.width, dtype, key=k_action)
-        self.kind = 0.1 * jax.random.normal(k_kind, (self.stream.token_count + 1, config.width), dtype)
+        self.action_encoder = MLP(6, 2 * config.width, config.width, dtype, key=k_action)
+        self.token_type = 0.1 * jax.random.normal(k_type, (self.stream.token_count + 1, config.width), dtype)
         self.backbone = BACKBONES[config.backbone](config, self.stream.token_count + 1, dtype, key=k_backbone)
         self.head = FlowHead(config, self.stream.residual_size, dtype, key=k_head)
 
     def tokens(self, statistics: PyTree, carry: Any, action: Float[Array, "6"]) -> Float[Array, "n+1 d"]:
         """Return the token vector of a step: the stream's tokens, then the action's."""
         action = self.action_encoder(action / statistics.action_scale)
-        return jnp.concatenate([self.stream.tokens(statistics, carry), action[None]]) + self.kind
+        return jnp.concatenate([self.stream.tokens(statistics, carry), action[None]]) + self.token_type
 
 
 def parameter_counts(config: ModelConfig) -> dict[str, int]:
@@ -56,10 +59,10 @@ class Params(NamedTuple):
 
 
 class ModelState(NamedTuple):
-    """Where a prediction stands: the carry at the current step, and what the backbone remembers of earlier ones."""
+    """Where a prediction stands: the carry at the current step, and what the backbone keeps of earlier ones."""
 
     carry: Any
-    memory: PyTree
+    cache: PyTree
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ class LearnedWorldModel:
         """
         if contents.kind != "learned":
             raise CheckpointError(f"expected a learned model, found {contents.kind!r}")
-        config = ModelConfig.model_validate(contents.config)
+        config = ModelConfig.model_validate({RENAMED.get(k, k): v for k, v in contents.config.items()})
         if expect is not None and config != expect:
             wrong = [k for k in ModelConfig.model_fields if getattr(config, k) != getattr(expect, k)]
             details = ", ".join(f"{k}={getattr(config, k)!r} where {getattr(expect, k)!r} is expected" for k in wrong)
@@ -105,7 +108,8 @@ class LearnedWorldModel:
         skeleton = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0), dtype=dtype))
         numbers = {k: np.asarray(v, dtype) for k, v in contents.statistics.items()}
         statistics = fill(STREAMS[config.stream].skeleton(dtype), numbers)
-        return cls(config, Params(fill(skeleton, contents.weights), statistics), contents.name)
+        weights = {".".join(RENAMED.get(k, k) for k in path.split(".")): v for path, v in contents.weights.items()}
+        return cls(config, Params(fill(skeleton, weights), statistics), contents.name)
 
     def encode(self, params: Params, history: History) -> ModelState:
         """Turn a history into the state from which `step` predicts; computed in the dtype of the weights."""
@@ -118,15 +122,15 @@ class LearnedWorldModel:
         carries = network.stream.follow(statistics, history.observation[STATE], history.action, history.valid, self.dt)
         past = jax.tree.map(lambda x: x[:-1], carries)
         tokens = jax.vmap(lambda carry, action: network.tokens(statistics, carry, action))(past, history.action)
-        outputs, memory = network.backbone.sequence(tokens, history.valid[:-1])
+        outputs, cache = network.backbone.sequence(tokens, history.valid[:-1])
         last = jax.tree.map(lambda x: x[-1], carries)
-        return ModelState(last, memory), carries, outputs[:, : network.stream.token_count]
+        return ModelState(last, cache), carries, outputs[:, : network.stream.token_count]
 
     def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, PyTree]:
         """Run the backbone on the current step under an action; return its output for the stream's tokens."""
         network, statistics = params
-        output, memory = network.backbone.step(network.tokens(statistics, state.carry, action), state.memory)
-        return output[: network.stream.token_count], memory
+        output, cache = network.backbone.step(network.tokens(statistics, state.carry, action), state.cache)
+        return output[: network.stream.token_count], cache
 
     def step(
         self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
@@ -134,11 +138,11 @@ class LearnedWorldModel:
         """Predict one step of `dt`: what is expected, or with a key a sample of the next measurement."""
         network, statistics = params
         action = _cast(params, action)
-        output, memory = self.attend(params, action, state)
+        output, cache = self.attend(params, action, state)
         sampled = key is not None
         residual = network.head.sample(key, output, self.config.head_steps) if sampled else network.head.mean(output)
         carry = network.stream.advance(statistics, state.carry, residual, action, self.dt, sampled=sampled)
-        return ModelState(carry, memory)
+        return ModelState(carry, cache)
 
     def observe(
         self, params: Params, state: ModelState, action: Float[Array, "6"], observation: dict[str, Array]
@@ -146,8 +150,8 @@ class LearnedWorldModel:
         """Advance by one executed action and the observation that followed it."""
         network, statistics = params
         view, action = _cast(params, (observation[STATE], action))
-        _, memory = self.attend(params, action, state)
-        return ModelState(network.stream.observe(statistics, state.carry, action, view, self.dt), memory)
+        _, cache = self.attend(params, action, state)
+        return ModelState(network.stream.observe(statistics, state.carry, action, view, self.dt), cache)
 
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""

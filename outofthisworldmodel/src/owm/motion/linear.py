@@ -1,4 +1,4 @@
-"""The part of the dynamics that least squares finds: a baseline by itself, and the skip under the network."""
+"""The part of the dynamics that least squares finds: a baseline by itself, and the base under the network."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from owm.data.windows import Windows, history_of
-from owm.interface import History, WorldModel
+from owm.interface import History, WorldModel, roll_out
 from owm.motion.kinematics import view_error
 from owm.scores.prediction import QUANTITIES, UNITS, check_windows
 
@@ -102,11 +102,7 @@ def sample_views(
     start = model.encode(params, history)
 
     def trajectory(key: Array) -> Array:
-        def advance(state: Any, step: tuple[Array, Array]) -> tuple[Any, Array]:
-            state = model.step(params, step[0], step[1], state)
-            return state, model.decode(params, state)["state"]
-
-        return jax.lax.scan(advance, start, (jax.random.split(key, actions.shape[0]), actions))[1]
+        return roll_out(model, params, start, actions, keys=jax.random.split(key, actions.shape[0]))
 
     return jax.vmap(trajectory)(jax.random.split(key, count))
 

@@ -78,10 +78,10 @@ def transitions(n: float) -> Float[np.ndarray, "T 3 6"]:
 def _clear(field, transition: Float[Array, "T 3 6"], states: Float[Array, "B 6"]) -> Bool[Array, "B"]:
     def one(state):
         path = jnp.einsum("tij,j->ti", transition, state)
-        room = jax.vmap(clearance, (None, 0))(field, path)
+        gap = jax.vmap(clearance, (None, 0))(field, path)
         way = jnp.linalg.norm(path[1:] - path[:-1], axis=-1)
         # Clearance falls by no more than the way gone, from either end.
-        least = (room[1:] + room[:-1] - way) / 2
-        return jnp.all(jnp.minimum(least, jnp.minimum(room[1:], room[:-1])) > MARGIN)
+        least = (gap[1:] + gap[:-1] - way) / 2
+        return jnp.all(jnp.minimum(least, jnp.minimum(gap[1:], gap[:-1])) > MARGIN)
 
     return jax.vmap(one)(states)

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from owm.data.windows import Windows, history_of
-from owm.interface import History, WorldModel
+from owm.interface import WorldModel, roll_out
 from owm.motion.kinematics import view_error
 
 QUANTITIES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
@@ -47,16 +47,6 @@ class PredictionError:
         return rows
 
 
-def roll_out(model: WorldModel, params: Any, history: History, actions: Float[Array, "F 6"]) -> Float[Array, "F 13"]:
-    """Predict the view after each of the given actions, deterministically."""
-
-    def advance(state: Any, action: Array) -> tuple[Any, Array]:
-        state = model.step(params, None, action, state)
-        return state, model.decode(params, state)["state"]
-
-    return jax.lax.scan(advance, model.encode(params, history), actions)[1]
-
-
 @partial(jax.jit, static_argnames=("model",))
 def window_errors(
     model: WorldModel, params: Any, windows: Windows, context: Array
@@ -66,7 +56,7 @@ def window_errors(
     def one(window: Windows, context: Array) -> tuple[Array, Array]:
         length = model.history_length
         history = history_of(window.observation, window.action, length, context)
-        predicted = roll_out(model, params, history, window.action[length - 1 :])
+        predicted = roll_out(model, params, model.encode(params, history), window.action[length - 1 :])
 
         def norms(actual: Array) -> Array:
             error = jax.vmap(view_error)(predicted, actual[length:])

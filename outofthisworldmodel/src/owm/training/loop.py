@@ -165,7 +165,7 @@ def _run(
         model = LearnedWorldModel(config.model, Params(state.network, statistics), name)
         with Metrics(out, step or -1, wandb, about) as metrics, View(console, config.steps, step) as view:
             if step == 0:
-                # Untrained, the model is its least-squares skip: what is published never scores worse than that.
+                # Untrained, the model is its least-squares map: what is published never scores worse than that.
                 line = {"step": 0} | validate(model, model.params, sets)
                 state = _keep_best(state, line["score"])
                 metrics.write(line)

@@ -97,9 +97,9 @@ def window_losses(
     def advance(state: ModelState, step: tuple) -> tuple[ModelState, Array]:
         coin, action, before, view = step
         carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
-        output, memory = model.attend(params, action, ModelState(carry, state.memory))
+        output, cache = model.attend(params, action, ModelState(carry, state.cache))
         carry = stream.advance(statistics, carry, network.head.mean(output), action, dt, sampled=False)
-        return ModelState(carry, memory), stream.decode_loss(statistics, carry, view)
+        return ModelState(carry, cache), stream.decode_loss(statistics, carry, view)
 
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.

@@ -5,11 +5,11 @@ import os
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
@@ -20,6 +20,7 @@ from owm_envs.config import DockingConfig
 from owm_envs.env import DockingEnv
 from owm_envs.field import GeodesicField
 from owm_envs.files import replace_folder
+from owm_envs.policies import SlotPolicy, Slots
 
 FORMAT = 1
 DECISION = 1.0
@@ -42,7 +43,14 @@ def save_policy(folder: Path, weights: dict[str, np.ndarray], about: dict[str, A
     replace_folder(folder, {"weights.safetensors": data, "config.json": (json.dumps(header, indent=1) + "\n").encode()})
 
 
-class PPOPolicy:
+class HeldActions(NamedTuple):
+    """What every slot carries from decision to decision: decisions since its episode began, and the action held."""
+
+    age: Int[np.ndarray, "B"]
+    action: Float[np.ndarray, "B 6"]
+
+
+class PPOPolicy(SlotPolicy):
     """Fly a batch of slots with a trained actor's mean action, held for a second.
 
     Args:
@@ -67,11 +75,12 @@ class PPOPolicy:
         self.about, weights = _read(Path(folder))
         self._layers = [(weights[f"weight.{i}"].T, weights[f"bias.{i}"]) for i in range(len(weights) // 2 - 1)]
         self._mean, self._deviation = weights["mean"], np.sqrt(weights["variance"] + _EPSILON)
-        self._layout = DockingEnv(config).layout
-        if list(self._layout.names) != self.about["observation"]:
+        layout = DockingEnv(config).layout
+        super().__init__("PPO, observing the field" if self.about["observe_field"] else "PPO", layout, num_slots)
+        if list(layout.names) != self.about["observation"]:
             raise ValueError(
                 f"the policy observes {len(self.about['observation'])} numbers, those of {self.about['env']!r} with "
-                f"goal errors; the environment shows {self._layout.size}"
+                f"goal errors; the environment shows {layout.size}"
             )
         if self.about["observe_field"] and field is None:
             raise ValueError("field must be given: the policy observes it")
@@ -79,39 +88,31 @@ class PPOPolicy:
         self._hold = round(DECISION / config.decision_dt)
         if self._hold < 1 or abs(self._hold * config.decision_dt - DECISION) > 1e-6:
             raise ValueError(f"decision_dt must divide {DECISION} s, which actions are held; got {config.decision_dt}")
-        scaled = replace(self._layout, normalize=True)
+        scaled = replace(layout, normalize=True)
         self._scale = jax.jit(jax.vmap(scaled.observe))
-        self.name = "PPO, observing the field" if self.about["observe_field"] else "PPO"
-        self._ports = np.zeros(num_slots, np.int32)
-        self._age = np.zeros(num_slots, np.int64)
-        self._action = np.zeros((num_slots, 6), np.float32)
 
-    def reset(self, mask=None, ports=None) -> None:
-        """Announce new episodes and their ports."""
-        mask = np.ones(len(self._age), bool) if mask is None else np.asarray(mask, bool)
-        if ports is not None:
-            self._ports = np.where(mask, np.asarray(ports, np.int32), self._ports)
-        self._age = np.where(mask, 0, self._age)
+    def begin(self, count: int) -> HeldActions:
+        """Nothing decided yet."""
+        return HeldActions(np.zeros(count, np.int64), np.zeros((count, 6), np.float32))
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=True) -> tuple[np.ndarray, Any]:
-        """Actions (B, 6) in the environment's layout; each slot decides anew when its second is over."""
-        if episode_start is not None:
-            self.reset(episode_start)
-        observation = np.asarray(observation, np.float32)
-        due = self._age % self._hold == 0
+    def act(
+        self, state: HeldActions, observation: Float[np.ndarray, "B O"], slots: Slots
+    ) -> tuple[Float[np.ndarray, "B 6"], HeldActions]:
+        """The action held; each slot decides anew when its second is over."""
+        age, action = np.where(slots.fresh, 0, state.age), state.action
+        due = age % self._hold == 0
         if due.any():
-            self._action = np.where(due[:, None], self.decide(observation), self._action)
-        self._age = self._age + 1
-        limit = np.asarray(self._layout.wrench_limit, np.float32)
-        return self._action if self._layout.normalize else self._action * limit, state
+            action = np.where(due[:, None], self.decide(observation, slots.port), action)
+        limit = np.asarray(self.layout.wrench_limit, np.float32)
+        return action if self.layout.normalize else action * limit, HeldActions(age + 1, action)
 
-    def decide(self, observation: Float[np.ndarray, "B O"]) -> Float[np.ndarray, "B 6"]:
+    def decide(self, observation: Float[np.ndarray, "B O"], ports: Int[np.ndarray, "B"]) -> Float[np.ndarray, "B 6"]:
         """The actor's mean, as fractions of the wrench limits."""
-        layout, x = self._layout, observation
+        layout, x = self.layout, observation
         if not layout.normalize:
             x = np.asarray(self._scale(x[:, :2], x[:, layout.view], x[:, -12:]))
         if self._field is not None:
-            x = with_field(self._field, self._ports, layout.measured_view(observation), x)
+            x = with_field(self._field, ports, layout.measured_view(observation), x)
         x = np.clip((x - self._mean) / self._deviation, -_CLIP, _CLIP)
         for weight, bias in self._layers[:-1]:
             x = np.tanh(x @ weight + bias)

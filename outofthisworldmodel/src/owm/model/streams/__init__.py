@@ -12,33 +12,21 @@ from jaxtyping import Array, Bool, Float, Key
 
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
-from owm.model.streams.adaptive import AdaptiveStream
-from owm.model.streams.kinematic import KinematicStream
+from owm.model.streams.adaptive import ADAPTIVE
+from owm.model.streams.kinematic import KINEMATIC
 from owm.model.streams.latent import LatentStream
 
 
 class Stream(Protocol):
     """What a stream has to offer; `d` is the token dimension, `n` and `r` are its `token_count` and `residual_size`.
 
-    `statistics` is a NamedTuple of its own, measured on the training episodes by `fit` and held fixed in training.
-    One of its fields is `action_scale` (6,), the root mean square of each action component.
+    `statistics` is what its `StreamType` measures.
     """
 
     token_count: ClassVar[int]
     """Tokens a step."""
     residual_size: int
     """Numbers that the flow head predicts for a token."""
-
-    def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
-        """Draw the initial weights."""
-
-    @staticmethod
-    def fit(episodes: Episodes) -> NamedTuple:
-        """Measure the statistics."""
-
-    @staticmethod
-    def skeleton(dtype: jnp.dtype) -> NamedTuple:
-        """Return the shapes of the statistics."""
 
     def follow(
         self,
@@ -90,5 +78,21 @@ class Stream(Protocol):
         """Compare the carry of a measured view with that view: what encoder and decoder lose between them."""
 
 
-STREAMS: dict[str, type[Stream]] = {"kinematic": KinematicStream, "adaptive": AdaptiveStream, "latent": LatentStream}
+class StreamType(Protocol):
+    """What makes the streams of one name."""
+
+    def __call__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]) -> Stream:
+        """Draw the initial weights of one."""
+
+    def fit(self, episodes: Episodes) -> NamedTuple:
+        """Measure the statistics on training episodes, held fixed in training.
+
+        One of the fields is `action_scale` (6,), the root mean square of each action component.
+        """
+
+    def skeleton(self, dtype: jnp.dtype) -> NamedTuple:
+        """Return the shapes of the statistics."""
+
+
+STREAMS: dict[str, StreamType] = {"kinematic": KINEMATIC, "adaptive": ADAPTIVE, "latent": LatentStream}
 """Streams by the name that `ModelConfig.stream` gives."""

@@ -1,5 +1,7 @@
 """The kinematic stream: a learned residual on analytic rigid-body kinematics, filtered from noisy measurements."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -10,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
-from owm.model.transformer import Perceptron
+from owm.model.transformer import MLP
 from owm.motion.kinematics import (
     advance,
     apply_inverse,
@@ -59,39 +61,19 @@ class KinematicStream(eqx.Module):
     velocity and rate alone, as increments of a step: position and attitude follow by kinematics.
     """
 
-    encoder: Perceptron
+    encoder: MLP
+    variant: "Variant" = eqx.field(static=True)
     token_count: ClassVar[int] = 1
     residual_size: ClassVar[int] = 12
-    features: ClassVar[int] = 41
-    filter: ClassVar[Filter] = LOCAL_LEVEL
 
-    def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
-        self.encoder = Perceptron(self.features, 2 * config.width, config.width, dtype, key=key)
+    def __init__(self, variant: "Variant", config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
+        self.encoder = MLP(variant.features, 2 * config.width, config.width, dtype, key=key)
+        self.variant = variant
 
-    @classmethod
-    def fit(cls, episodes: Episodes) -> Statistics:
-        """Measure the statistics on training episodes."""
-        linear = fit_linear_map(episodes)
-
-        def size(x: np.ndarray, axis: int | None = None) -> Array:
-            mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
-            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.view.dtype)
-
-        view = episodes.view
-        return Statistics(
-            linear,
-            cls.filter.fit(episodes, linear),
-            size(episodes.action, 0),
-            size(view[:, :3]),
-            size(view[:, 3:6]),
-            size(view[:, 10:]),
-        )
-
-    @classmethod
-    def skeleton(cls, dtype: jnp.dtype) -> Statistics:
-        """Return the shapes of the statistics."""
-        scales = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (), (), ()))
-        return Statistics(LinearMap.skeleton(dtype), cls.filter.skeleton(dtype), *scales)
+    @property
+    def filter(self) -> Filter:
+        """What measurements are filtered with."""
+        return self.variant.filter
 
     def follow(
         self,
@@ -112,28 +94,7 @@ class KinematicStream(eqx.Module):
 
     def tokens(self, statistics: Statistics, track: Track) -> Float[Array, "1 d"]:
         """Return the token of a track."""
-        return self.encoder(self.inputs(statistics, track))
-
-    @staticmethod
-    def inputs(statistics: Statistics, track: Track) -> Float[Array, "1 41"]:
-        """Return what the token is made of, each of order one and blind to the sign of q."""
-        motion = track.motion
-        position, velocity, _ = to_station(motion)
-        turn = rotation(multiply(motion.anchor[3:], motion.attitude))
-        body_velocity = apply_inverse(turn, velocity)
-        return jnp.concatenate(
-            [
-                body_velocity / statistics.velocity_scale,
-                motion.rate / statistics.rate_scale,
-                velocity / statistics.velocity_scale,
-                position / statistics.position_scale,
-                turn.reshape(9),
-                # Bounded, for sensors unlike any of the training episodes.
-                5.0 * jnp.tanh(track.innovation / 5.0),
-                jnp.tanh(0.25 * jnp.log(track.noise / statistics.filter.noise)),
-                next_gain(statistics.filter, track),
-            ]
-        )[None]
+        return self.encoder(self.variant.inputs(statistics, track))
 
     def target(
         self, statistics: Statistics, before: Track, after: Track, action: Float[Array, "6"], dt: float
@@ -163,10 +124,12 @@ class KinematicStream(eqx.Module):
         change, drift = self.filter.increment(statistics.linear, track, action)
         if sampled:
             predicted = advance(track.motion, change, dt, drift)
-            return self.filter.correct(statistics.filter, track, action, predicted, residual[0])
+            after = self.filter.correct(statistics.filter, track, action, predicted, residual[0])
+            return self.variant.then(after, action)
         away = self.filter.scale(statistics.filter, track, action) * residual[0]
         motion = advance(track.motion, change + jnp.concatenate([away[3:6], away[9:]]), dt, drift)
-        return track._replace(motion=motion, view=motion, innovation=jnp.zeros_like(track.innovation))
+        after = track._replace(motion=motion, view=motion, innovation=jnp.zeros_like(track.innovation))
+        return self.variant.then(after, action)
 
     def decode(self, statistics: Statistics, track: Track) -> dict[str, Array]:
         """Read out what the sensors show."""
@@ -181,3 +144,76 @@ class KinematicStream(eqx.Module):
     def round_trip_loss(self, statistics: Statistics, track: Track, view: Float[Array, "13"]) -> Float[Array, ""]:
         """Return zero: nothing is lost on the way from view to track and back."""
         return jnp.zeros((), view.dtype)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What kinematic streams of one name have of their own; makes and fits them.
+
+    Attributes:
+        filter: what measurements are filtered with.
+        features: how many numbers a token is made of.
+        inputs: those numbers (1, features), of statistics and track.
+        then: the track after a step under an action, of the track that the filter gives.
+    """
+
+    filter: Filter
+    features: int
+    inputs: Callable[[Statistics, Track], Float[Array, "1 f"]]
+    then: Callable[[Track, Float[Array, "6"]], Track]
+
+    def __call__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]) -> KinematicStream:
+        """Draw the initial weights of one."""
+        return KinematicStream(self, config, dtype, key=key)
+
+    def fit(self, episodes: Episodes) -> Statistics:
+        """Measure the statistics on training episodes."""
+        linear = fit_linear_map(episodes)
+
+        def size(x: np.ndarray, axis: int | None = None) -> Array:
+            mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
+            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.observation.dtype)
+
+        view = episodes.observation
+        return Statistics(
+            linear,
+            self.filter.fit(episodes, linear),
+            size(episodes.action, 0),
+            size(view[:, :3]),
+            size(view[:, 3:6]),
+            size(view[:, 10:]),
+        )
+
+    def skeleton(self, dtype: jnp.dtype) -> Statistics:
+        """Return the shapes of the statistics."""
+        scales = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (), (), ()))
+        return Statistics(LinearMap.skeleton(dtype), self.filter.skeleton(dtype), *scales)
+
+
+def motion_inputs(statistics: Statistics, track: Track) -> Float[Array, "1 41"]:
+    """Return what the token is made of, each of order one and blind to the sign of q."""
+    motion = track.motion
+    position, velocity, _ = to_station(motion)
+    turn = rotation(multiply(motion.anchor[3:], motion.attitude))
+    body_velocity = apply_inverse(turn, velocity)
+    return jnp.concatenate(
+        [
+            body_velocity / statistics.velocity_scale,
+            motion.rate / statistics.rate_scale,
+            velocity / statistics.velocity_scale,
+            position / statistics.position_scale,
+            turn.reshape(9),
+            # Bounded, for sensors unlike any of the training episodes.
+            5.0 * jnp.tanh(track.innovation / 5.0),
+            jnp.tanh(0.25 * jnp.log(track.noise / statistics.filter.noise)),
+            next_gain(statistics.filter, track),
+        ]
+    )[None]
+
+
+def _as_it_is(track: Track, action: Float[Array, "6"]) -> Track:
+    return track
+
+
+KINEMATIC = Variant(LOCAL_LEVEL, 41, motion_inputs, _as_it_is)
+"""For one vehicle: what its actions do is measured once, on the training episodes."""

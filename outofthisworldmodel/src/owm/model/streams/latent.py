@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from astrojax.attitude import quat_sign
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
-from owm.model.transformer import Linear, Perceptron
+from owm.model.transformer import MLP, Linear
 from owm.motion.bilinear import COLUMNS, bilinear_change, fit_bilinear_map
 from owm.motion.kinematics import decode_penalty, pose, quaternion, rotation
 from owm.motion.linear import transitions
@@ -27,8 +28,8 @@ _MEMBERS = np.eye(len(SIZES))[:, _OWNER]  # (4, 18): which features are a token'
 _INPUTS = 1 + _FEATURES + 6  # one, features, action
 SECONDS = 10.0
 """The way gone in this time at the root-mean-square speed is the unit of position."""
-HASTE = 10.0
-"""Trained spreads count in a tenth of e-folds, because Adam moves all weights alike and these fall a hundredfold."""
+SPREAD_RATE = 10.0
+"""Multiplies the learning rate of trained spreads: Adam moves all weights alike, and these fall a hundredfold."""
 
 
 class Statistics(NamedTuple):
@@ -37,7 +38,7 @@ class Statistics(NamedTuple):
     Attributes:
         feature_scale: units of the four kinds of features: m, m/s, none, rad/s.
         transition: the least-squares map under the network, in scaled features and actions; not read where
-            `config.skip` is another.
+            `config.base_dynamics` is another.
         residual_scale: root mean square of a token's change that the map leaves, per component of the token.
         change_scale: the same of the whole change, for models without the map.
         action_scale: root mean square of each action component.
@@ -75,37 +76,38 @@ def embedding(width: int) -> Float[np.ndarray, "18 4*d"]:
 class LatentStream(eqx.Module):
     """Latent autoregression over four tokens.
 
-    Encoder and decoder are perceptrons beside a fixed isometry between features and tokens: it keeps a token from
+    Encoder and decoder are MLPs beside a fixed isometry between features and tokens: it keeps a token from
     losing a feature or shrinking, so that latents cannot collapse while targets have a scale that is measured once.
     Velocity and attitude are in the station's axes: in those of the window's first pose, orbital and gyroscopic terms
     would be products of three features, which the map has not.
     A token's next value is its own, plus what a layer of the encoded features gives, plus what the flow head predicts.
-    `config.skip` says which layer: a least-squares map, none, or a trained one that sees every product of two of the
-    features and actions, or of one with one, and begins at zero. Nothing tells it which of them matter. It is trained
-    on measured steps alone (`change_loss`), a convex problem, because the gradients of rollouts would drown theirs.
+    `config.base_dynamics` says which layer: a least-squares map, none, or a trained one that sees every product of two
+    of the features and actions, or of one with one, and begins at zero. Nothing tells it which of them matter. It is
+    trained on measured steps alone (`change_loss`), a convex problem, because the gradients of rollouts would drown
+    theirs.
 
     Attributes:
         quadratic: the trained layer.
         spread: how much of a token's change it leaves, as a logarithm in tenths: the unit of what the head predicts.
     """
 
-    encoder: Perceptron
-    decoder: Perceptron
+    encoder: MLP
+    decoder: MLP
     context: Linear
     quadratic: Float[Array, "625 18"] | None
     spread: Float[Array, "4"] | None
     width: int = eqx.field(static=True)
-    skip: str = eqx.field(static=True)
+    base_dynamics: str = eqx.field(static=True)
     token_count: ClassVar[int] = len(SIZES)
 
     def __init__(self, config: ModelConfig, dtype: jnp.dtype, *, key: Key[Array, ""]):
         k_encoder, k_decoder, k_context = jax.random.split(key, 3)
-        self.width, self.skip = config.width, config.skip
+        self.width, self.base_dynamics = config.width, config.base_dynamics
         hidden, flat = 2 * config.width, len(SIZES) * config.width
-        self.encoder = Perceptron(_FEATURES, hidden, flat, dtype, key=k_encoder, scale=0.0)
-        self.decoder = Perceptron(flat, hidden, _FEATURES, dtype, key=k_decoder, scale=0.0)
+        self.encoder = MLP(_FEATURES, hidden, flat, dtype, key=k_encoder, scale=0.0)
+        self.decoder = MLP(flat, hidden, _FEATURES, dtype, key=k_decoder, scale=0.0)
         self.context = Linear(3, config.width, dtype, key=k_context, scale=0.1)
-        learned = config.skip == "learned"
+        learned = config.base_dynamics == "learned"
         self.quadratic = jnp.zeros((_INPUTS**2, _FEATURES), dtype) if learned else None
         self.spread = jnp.zeros(len(SIZES), dtype) if learned else None
 
@@ -177,14 +179,14 @@ class LatentStream(eqx.Module):
 
     def _scale(self, statistics: Statistics) -> Float[Array, "4 1"]:
         """Return the size of residuals. All that is learned is counted in it, so that it begins small."""
-        scale = statistics.residual_scale if self.skip == "bilinear" else statistics.change_scale
+        scale = statistics.residual_scale if self.base_dynamics == "bilinear" else statistics.change_scale
         if self.spread is not None:
-            scale = scale * jax.lax.stop_gradient(jnp.exp(HASTE * self.spread))
+            scale = scale * jax.lax.stop_gradient(jnp.exp(SPREAD_RATE * self.spread))
         return scale[:, None] * self.width**-0.5
 
     def _change(self, statistics: Statistics, carry: Latent, action: Array) -> Float[Array, "4 d"]:
         """Return the change of the tokens by the layer under the network."""
-        if self.skip == "none":
+        if self.base_dynamics == "none":
             return jnp.zeros_like(carry.tokens)
         scaled, action = self.read(carry.tokens), action / statistics.action_scale
         if self.quadratic is not None:
@@ -216,7 +218,7 @@ class LatentStream(eqx.Module):
         before, after = jax.lax.stop_gradient((before, after))
         left = self.read(after.tokens - before.tokens - self._change(statistics, before, action))
         square = jnp.asarray(_MEMBERS, left.dtype) @ left**2 / statistics.change_scale**2
-        return jnp.mean(0.5 * square * jnp.exp(-2.0 * HASTE * self.spread) + HASTE * self.spread)
+        return jnp.mean(0.5 * square * jnp.exp(-2.0 * SPREAD_RATE * self.spread) + SPREAD_RATE * self.spread)
 
     def advance(
         self,
@@ -242,7 +244,7 @@ class LatentStream(eqx.Module):
         """Return the view, its quaternion that of the nearest rotation, on the anchor's side of the sphere."""
         seen = self.decoded(statistics, carry)
         q = quaternion(seen[6:15].reshape(3, 3))
-        q = jnp.where(jnp.sum(q * carry.anchor[3:]) < 0.0, -q, q)
+        q = quat_sign(q, carry.anchor[3:]) * q
         return {"state": jnp.concatenate([seen[:3] + carry.anchor[:3], seen[3:6], q, seen[15:]])}
 
     def decode_loss(self, statistics: Statistics, carry: Latent, view: Float[Array, "13"]) -> Float[Array, ""]:

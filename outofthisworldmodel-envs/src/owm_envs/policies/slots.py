@@ -1,0 +1,163 @@
+"""The one shell around policies that fly slots: it keeps episodes, ports and state, and checks what it is given."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from owm_envs.flags import own_flags
+from owm_envs.station import PORT_NAMES, port_index
+from owm_envs.task.observation import ObservationLayout
+
+
+class Slots(NamedTuple):
+    """What the shell knows of its slots at a decision.
+
+    Attributes:
+        fresh: whose episode begins with this observation.
+        port: index of the assigned port.
+        episode: how many episodes the slot has flown before this one.
+        active: False where an episode has ended and no other has begun.
+    """
+
+    fresh: Bool[np.ndarray, "B"]
+    port: Int[np.ndarray, "B"]
+    episode: Int[np.ndarray, "B"]
+    active: Bool[np.ndarray, "B"]
+
+
+class SlotPolicy(ABC):
+    """Fly a batch of slots; the only place that keeps their state.
+
+    A policy of this kind gives `act`, and where it needs them `begin` and `check_ports`: functions of what they are
+    given. It sees observations and ports, never `info`.
+
+    Args:
+        name: what reports call it.
+        layout: of observations and actions.
+        num_slots: episodes flown side by side; when None, as many as the first reset names ports.
+
+    Attributes:
+        active: (num_slots,) set to False where an episode has ended: such a slot gets zero actions until its next
+            reset.
+    """
+
+    def __init__(self, name: str, layout: ObservationLayout, num_slots: int | None = None):
+        if num_slots is not None and num_slots < 1:
+            raise ValueError(f"num_slots must be at least 1, got {num_slots}")
+        self.name = name
+        self.layout = layout
+        self.num_slots = num_slots
+        self.active = np.ones(num_slots or 0, bool)
+        self._any_number = num_slots is None
+        self._ports: np.ndarray | None = None
+        self._episodes = self._pending = np.zeros(0)
+        self._state: Any = None
+
+    @abstractmethod
+    def act(self, state: Any, observation: Float[np.ndarray, "B O"], slots: Slots) -> tuple[Any, Any]:
+        """Actions (B, 6) in the environment's layout, and the next state."""
+
+    def begin(self, count: int) -> Any:
+        """The state of so many slots before their first measurement; None unless a policy has another."""
+        return None
+
+    def check_ports(self, ports: Int[np.ndarray, "N"]) -> None:  # noqa: B027 - most can be flown to all of them
+        """Raise ValueError if one of the ports cannot be flown to."""
+
+    def reset(
+        self,
+        mask: Bool[np.ndarray, "B"] | None = None,
+        ports: Sequence[str | int] | Int[np.ndarray, "B"] | str | int | None = None,
+    ) -> None:
+        """Announce new episodes: their slots forget everything and start afresh at the next `predict`.
+
+        Args:
+            mask: slots whose episode begins; all when None.
+            ports: assigned port of every slot, as names (`info["port"]`) or indices, read where `mask` is True; the
+                ones known so far when None.
+
+        Raises:
+            ValueError: shapes disagree, a port is unknown or cannot be flown to, or no ports were ever given.
+        """
+        if ports is None and self._ports is None:
+            raise ValueError("ports must be given on the first reset: one port index for each slot")
+        given = self._ports if ports is None else _port_numbers(ports)
+        # A policy of any number of slots takes another number when all of them begin.
+        anew = self._ports is None or (self._any_number and (mask is None or np.all(mask)))
+        count = given.size if anew and self._any_number else self.num_slots
+        mask = np.ones(count, bool) if mask is None else np.atleast_1d(np.asarray(mask, bool))
+        for name, array in (("mask", mask), ("ports", given)):
+            if array.shape != (count,):
+                raise ValueError(f"{name} must have shape ({count},), one for each slot, got {array.shape}")
+        wanted = given[mask]
+        if ((wanted < 0) | (wanted >= len(PORT_NAMES))).any():
+            raise ValueError(
+                f"ports must be names or indices from 0 to {len(PORT_NAMES) - 1}, one for each slot, "
+                f"got {wanted.tolist()}"
+            )
+        self.check_ports(wanted)
+        if self._ports is None and not mask.all():
+            raise ValueError("the first reset must start every slot")
+        if self._ports is None or count != self.num_slots:
+            self.num_slots = count
+            with own_flags(jax.config.jax_enable_x64):
+                self._state = self.begin(count)
+            self._ports, self._episodes = given.astype(np.int32), np.full(count, -1, np.int32)
+            self._pending = self.active = np.ones(count, bool)
+        self._ports = np.where(mask, given, self._ports).astype(np.int32)
+        self._pending = self._pending | mask
+        self.active = self.active | mask
+
+    def predict(
+        self,
+        observation: Float[np.ndarray, "B O"],
+        state: Any = None,
+        episode_start: Bool[np.ndarray, "B"] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Float[np.ndarray, "B 6"], Any]:
+        """Actions for a batch of observations, as Stable-Baselines3 policies give them.
+
+        Args:
+            observation: (B, O), or (O,) for a single slot.
+            state: what the last call returned; the state kept inside when None.
+            episode_start: slots whose episode begins with this observation, at the port last announced.
+            deterministic: has no effect: all draws follow from the policy's seed.
+
+        Returns:
+            float32 actions (B, 6), or (6,) for a single slot, in the environment's layout, and the state.
+
+        Raises:
+            ValueError: `reset` never told the ports, or the shape is wrong.
+        """
+        del deterministic
+        if self._ports is None:
+            raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
+        observation = np.asarray(observation, np.float32)
+        single = observation.ndim == 1
+        batch = observation[None] if single else observation
+        expected = (self.num_slots, self.layout.size)
+        if batch.shape != expected:
+            raise ValueError(f"observation must have shape {expected}, got {observation.shape}")
+        if episode_start is not None:
+            self.reset(np.broadcast_to(np.asarray(episode_start, bool), (self.num_slots,)))
+        fresh, self._pending = self._pending, np.zeros_like(self._pending)
+        self._episodes = self._episodes + fresh
+        slots = Slots(fresh, self._ports, self._episodes, self.active)
+        with own_flags(jax.config.jax_enable_x64):
+            actions, self._state = self.act(self._state if state is None else state, batch, slots)
+        actions = np.where(self.active[:, None], np.asarray(actions, np.float32), np.float32(0))
+        return (actions[0] if single else actions), self._state
+
+
+def _port_numbers(ports: Sequence[str | int] | np.ndarray | str | int) -> Int[np.ndarray, "B"]:
+    """Ports, by name or index, as indices."""
+    values = np.atleast_1d(np.asarray(ports))
+    if values.dtype.kind in "UO":
+        values = np.array([port_index(port) if isinstance(port, str) else port for port in values.tolist()])
+    if values.dtype.kind not in "iu":
+        raise ValueError(f"ports must be a name or an index for each slot, got {values.tolist()}")
+    return values
