@@ -38,6 +38,8 @@ class WorldModel(Protocol):
     """`H`, static."""
     dt: float
     """Seconds a step."""
+    # `parts`, the names of what it looks at of an observation, is ("state",) unless the model says otherwise; its
+    # `precision`, the mode that it runs in, "float32".
     params: PyTree
     """The values to pass as `params`."""
 

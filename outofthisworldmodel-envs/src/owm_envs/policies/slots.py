@@ -1,7 +1,7 @@
 """The one shell around policies that fly slots: it keeps episodes, ports and state, and checks what it is given."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float, Int
 
 from owm_envs.flags import own_flags
 from owm_envs.station import PORT_NAMES, port_index
-from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.observation import Observation, ObservationLayout, part
+from owm_envs.task.sensors import STATE
 
 
 class Slots(NamedTuple):
@@ -58,8 +59,8 @@ class SlotPolicy(ABC):
         self._state: Any = None
 
     @abstractmethod
-    def act(self, state: Any, observation: Float[np.ndarray, "B O"], slots: Slots) -> tuple[Any, Any]:
-        """Actions (B, 6) in the environment's layout, and the next state."""
+    def act(self, state: Any, observation: dict[str, np.ndarray], slots: Slots) -> tuple[Any, Any]:
+        """Actions (B, 6) in the environment's layout for the parts (B, ...) of observations, and the next state."""
 
     def begin(self, count: int) -> Any:
         """The state of so many slots before their first measurement; None unless a policy has another."""
@@ -114,7 +115,7 @@ class SlotPolicy(ABC):
 
     def predict(
         self,
-        observation: Float[np.ndarray, "B O"],
+        observation: Observation,
         state: Any = None,
         episode_start: Bool[np.ndarray, "B"] | None = None,
         deterministic: bool = True,
@@ -122,7 +123,7 @@ class SlotPolicy(ABC):
         """Actions for a batch of observations, as Stable-Baselines3 policies give them.
 
         Args:
-            observation: (B, O), or (O,) for a single slot.
+            observation: (B, O), or (O,) for a single slot; or a mapping of such parts.
             state: what the last call returned; the state kept inside when None.
             episode_start: slots whose episode begins with this observation, at the port last announced.
             deterministic: has no effect: all draws follow from the policy's seed.
@@ -136,12 +137,14 @@ class SlotPolicy(ABC):
         del deterministic
         if self._ports is None:
             raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
-        observation = np.asarray(observation, np.float32)
-        single = observation.ndim == 1
-        batch = observation[None] if single else observation
+        shape = np.shape(part(observation, STATE))
+        single = len(shape) == 1
+        parts = dict(observation) if isinstance(observation, Mapping) else {STATE: observation}
+        parts[STATE] = np.asarray(parts[STATE], np.float32)
+        batch = {name: np.asarray(values)[None] if single else np.asarray(values) for name, values in parts.items()}
         expected = (self.num_slots, self.layout.size)
-        if batch.shape != expected:
-            raise ValueError(f"observation must have shape {expected}, got {observation.shape}")
+        if batch[STATE].shape != expected:
+            raise ValueError(f"observation must have shape {expected}, got {shape}")
         if episode_start is not None:
             self.reset(np.broadcast_to(np.asarray(episode_start, bool), (self.num_slots,)))
         fresh, self._pending = self._pending, np.zeros_like(self._pending)

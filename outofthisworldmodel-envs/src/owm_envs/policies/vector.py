@@ -5,7 +5,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from owm_envs.policies.base import ScriptedPolicy
 from owm_envs.policies.slots import SlotPolicy, Slots
@@ -24,7 +23,7 @@ class VectorPolicy(SlotPolicy):
         self.policy = policy
         self._seed = np.uint32(seed)
 
-    def act(self, state: Any, observation: Float[np.ndarray, "B O"], slots: Slots) -> tuple[Any, Any]:
+    def act(self, state: Any, observation: dict[str, np.ndarray], slots: Slots) -> tuple[Any, Any]:
         """Every slot's action and next state, in one compiled program."""
         episodes = slots.episode.astype(np.uint32)
         return _advance(self.policy, state, observation, slots.fresh, slots.port, self._seed, episodes)

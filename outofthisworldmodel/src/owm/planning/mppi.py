@@ -22,6 +22,7 @@ from owm.planning.effect import authority, coasting_wrench, effect_of
 from owm.planning.sampler import sample_candidates
 from owm.planning.update import average, candidate_weights, shifted
 from owm_envs.field import clearance
+from owm_envs.task.sensors import STATE
 
 
 class Problem(NamedTuple):
@@ -87,7 +88,7 @@ def plan(
     """
     params, tuning, goal = problem
     dtype = state.plan.dtype
-    measured = history.observation[-1].astype(dtype)
+    measured = history.observation[STATE][-1].astype(dtype)
     goal = goal._replace(pose=goal.pose.astype(dtype))
     learned = _corrected(shape, model.dt, tuning, state, measured)
 

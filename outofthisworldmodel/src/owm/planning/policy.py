@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
@@ -23,6 +23,8 @@ from owm_envs.field import GeodesicField, field_rows
 from owm_envs.flags import own_flags
 from owm_envs.policies import SlotPolicy, Slots
 from owm_envs.station import PORT_NAMES, goal_poses
+from owm_envs.task.sensors import STATE
+from owm_envs.view import VIEW_SIZE, View
 
 
 class Learner(Protocol):
@@ -43,7 +45,8 @@ class Learner(Protocol):
 class SlotStates(NamedTuple):
     """What every slot carries from decision to decision; NumPy arrays, never changed in place."""
 
-    observation: Float[np.ndarray, "B H 13"]
+    observation: dict[str, Shaped[np.ndarray, "B H ..."]]
+    """The parts that the model looks at; of the state part the measured view (B, H, 13)."""
     action: Float[np.ndarray, "B H-1 6"]
     valid: Bool[np.ndarray, "B H"]
     chunk: Float[np.ndarray, "B L+C 6"]
@@ -79,7 +82,7 @@ class PlannerPolicy(SlotPolicy):
             by itself.
 
     Raises:
-        ValueError: the environment's decision rate is not the model's.
+        ValueError: the environment's decision rate is not the model's, or it does not observe what the model looks at.
     """
 
     def __init__(
@@ -109,6 +112,7 @@ class PlannerPolicy(SlotPolicy):
         self._tuning = self.config.tuning(env.layout.wrench_limit)
         self._goals = goal_poses().astype(np.float32)
         self._rows = field_rows(field)
+        self._parts = _model_parts(model, env)
         self._field = jax.device_put(field)
 
     def begin(self, count: int) -> SlotStates:
@@ -120,7 +124,7 @@ class PlannerPolicy(SlotPolicy):
             return jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], count, axis=0), jax.device_get(tree))
 
         return SlotStates(
-            observation=np.zeros((count, history, 13), np.float32),
+            observation={name: np.zeros((count, history, *x.shape), x.dtype) for name, x in self._parts.items()},
             action=np.zeros((count, history - 1, 6), np.float32),
             valid=np.zeros((count, history), bool),
             chunk=np.zeros((count, shape.latency + shape.chunk, 6), np.float32),
@@ -137,7 +141,7 @@ class PlannerPolicy(SlotPolicy):
             raise ValueError(f"the geodesic field does not cover {', '.join(sorted(missing))}: load it for them")
 
     def act(
-        self, state: SlotStates, observation: Float[np.ndarray, "B O"], slots: Slots
+        self, state: SlotStates, observation: dict[str, np.ndarray], slots: Slots
     ) -> tuple[Float[np.ndarray, "B 6"], SlotStates]:
         """The next wrench of each slot's chunk, planned anew where that is used up.
 
@@ -148,30 +152,32 @@ class PlannerPolicy(SlotPolicy):
         broken = slots.active & ~np.isfinite(view).all(axis=1)
         if broken.any():
             raise ValueError(f"observation is not finite in slots {np.flatnonzero(broken).tolist()}")
-        state = self._remember(state, view, slots)
+        state = self._remember(state, {name: observation[name] for name in self._parts} | {STATE: view}, slots)
         due = np.flatnonzero((state.index >= self.config.chunk) & slots.active)
         if due.size:
             state = self._replan(state, due, slots.port)
         wrench = state.chunk[np.arange(len(view)), np.minimum(state.index, state.chunk.shape[1] - 1)]
         return self.layout.action(wrench), state._replace(index=state.index + slots.active)
 
-    def _remember(self, state: SlotStates, view: Float[np.ndarray, "B 13"], slots: Slots) -> SlotStates:
-        """Append a measurement and the wrench that led to it; begin anew in the slots that are due to."""
-        continuous = view.copy()
-        continuous[:, 6:10] *= quat_sign(view[:, 6:10], state.observation[:, -1, 6:10])[:, None]
-        executed = state.chunk[np.arange(len(view)), state.index - 1]
+    def _remember(self, state: SlotStates, seen: dict[str, np.ndarray], slots: Slots) -> SlotStates:
+        """Append what is seen and the wrench that led to it; begin anew in the slots that are due to."""
+        view, before = View.of(seen[STATE]), state.observation[STATE][:, -1]
+        sign = quat_sign(view.attitude, View.of(before).attitude)[:, None]
+        continuous = view._replace(attitude=view.attitude * sign).numbers()
+        executed = state.chunk[np.arange(len(continuous)), state.index - 1]
         known = state.known
         if self._learner is not None:
             # The noise of the measurement that a plan was made from is in its first action: what follows would be
             # taken for the action's work.
             telling = slots.active & ~slots.fresh & ((state.index > 1) | (self.config.latency > 0))
-            known = jax.device_get(
-                _learn(self._learner, known, telling, state.observation[:, -1], executed, continuous)
-            )
+            known = jax.device_get(_learn(self._learner, known, telling, before, executed, continuous))
         longer = state._replace(
-            observation=np.concatenate([state.observation, continuous[:, None]], axis=1)[:, 1:],
+            observation={
+                name: np.concatenate([held, (seen | {STATE: continuous})[name][:, None]], axis=1)[:, 1:]
+                for name, held in state.observation.items()
+            },
             action=np.concatenate([state.action, executed[:, None]], axis=1)[:, 1:],
-            valid=np.concatenate([state.valid, np.ones((len(view), 1), bool)], axis=1)[:, 1:],
+            valid=np.concatenate([state.valid, np.ones((len(continuous), 1), bool)], axis=1)[:, 1:],
             known=known,
         )
         if not slots.fresh.any():
@@ -180,9 +186,11 @@ class PlannerPolicy(SlotPolicy):
         def choose(new: np.ndarray, old: np.ndarray) -> np.ndarray:
             return np.where(slots.fresh.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
-        begun = self.begin(len(view))._replace(
-            observation=np.broadcast_to(view[:, None], state.observation.shape),
-            valid=np.arange(state.valid.shape[1]) == np.full((len(view), 1), state.valid.shape[1] - 1),
+        begun = self.begin(len(continuous))._replace(
+            observation={
+                name: np.broadcast_to(seen[name][:, None], held.shape) for name, held in state.observation.items()
+            },
+            valid=np.arange(state.valid.shape[1]) == np.full((len(continuous), 1), state.valid.shape[1] - 1),
         )
         return jax.tree.map(choose, begun, longer)
 
@@ -202,7 +210,11 @@ class PlannerPolicy(SlotPolicy):
                     self.model,
                     self.config.shape,
                     Problem(params, self._tuning, goal),
-                    History(state.observation[slot], state.action[slot], state.valid[slot]),
+                    History(
+                        {name: held[slot] for name, held in state.observation.items()},
+                        state.action[slot],
+                        state.valid[slot],
+                    ),
                     jax.tree.map(lambda x: x[slot], state.planner),
                     committed=committed[slot],
                     seed=self._seed,
@@ -229,6 +241,18 @@ class PlannerPolicy(SlotPolicy):
             replans=put(state.replans, state.replans[due] + 1),
             planner=jax.tree.map(put, state.planner, planners),
         )
+
+
+def _model_parts(model: WorldModel, env: DockingEnv) -> dict[str, jax.ShapeDtypeStruct]:
+    """Shape and dtype of what the model looks at, as a history keeps it."""
+    shown = env.observation_parts | {STATE: jax.ShapeDtypeStruct((VIEW_SIZE,), np.float32)}
+    names = getattr(model, "parts", (STATE,))
+    if missing := [name for name in names if name not in shown]:
+        raise ValueError(
+            f"the model {model.name!r} looks at {', '.join(missing)}, which the environment does not observe; "
+            f"it observes {', '.join(shown)}: give it such a sensor"
+        )
+    return {name: shown[name] for name in {STATE: None} | dict.fromkeys(names)}
 
 
 @cache

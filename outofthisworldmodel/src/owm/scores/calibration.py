@@ -18,6 +18,7 @@ from owm.data.windows import Windows, history_of
 from owm.interface import History, WorldModel, roll_out
 from owm.motion.kinematics import view_error
 from owm.scores.prediction import QUANTITIES, UNITS, check_windows
+from owm_envs.task.sensors import STATE
 
 LEVELS = (0.5, 0.9, 0.99)
 """Probabilities whose central intervals are scored."""
@@ -181,13 +182,14 @@ def calibration(
     length = model.history_length + max(horizons)
     count = check_windows(windows, length)
     index = np.asarray(horizons) - 1
-    actual = windows.truth if outcome == "truth" else windows.observation
+    actual = windows.truth if outcome == "truth" else windows.observation[STATE]
     sums = None
     for first in range(0, count, batch):
         # The last batch is filled up with earlier windows, so that one shape is compiled.
         rows = np.minimum(np.arange(first, first + batch), count - 1)
         keys = jax.vmap(lambda row: jax.random.fold_in(jax.random.key(seed), row))(jnp.asarray(rows, jnp.int32))
-        inputs = (windows.observation[rows, :length], windows.action[rows, : length - 1], actual[rows, :length])
+        seen = {name: values[rows, :length] for name, values in windows.observation.items()}
+        inputs = (seen, windows.action[rows, : length - 1], actual[rows, :length])
         scores = _window_scores(model, model.params, keys, *inputs, samples, levels)
         part = [np.asarray(x[: count - first, index], np.float64).sum(axis=0) for x in scores]
         sums = part if sums is None else [a + b for a, b in zip(sums, part)]
@@ -207,7 +209,7 @@ def calibration(
 
 @partial(jax.jit, static_argnames=("model", "samples", "levels"))
 def _window_scores(model, params, keys, observation, action, actual, samples, levels) -> Scores:
-    def one(key: Array, observation: Array, action: Array, actual: Array) -> Scores:
+    def one(key: Array, observation: dict[str, Array], action: Array, actual: Array) -> Scores:
         length = model.history_length
         history = history_of(observation, action, length, length)
         drawn = sample_views(model, params, key, history, action[length - 1 :], samples)

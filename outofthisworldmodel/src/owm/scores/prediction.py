@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from owm.data.windows import Windows, history_of
 from owm.interface import WorldModel, roll_out
 from owm.motion.kinematics import view_error
+from owm_envs.task.sensors import STATE
 
 QUANTITIES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
 UNITS = np.array([1.0, 1.0, 180.0 / np.pi, 180.0 / np.pi])
@@ -62,14 +63,14 @@ def window_errors(
             error = jax.vmap(view_error)(predicted, actual[length:])
             return jnp.linalg.norm(error.reshape(-1, 4, 3), axis=-1)
 
-        return norms(window.truth), norms(window.observation)
+        return norms(window.truth), norms(window.observation[STATE])
 
     return jax.vmap(one)(windows, context)
 
 
 def check_windows(windows: Windows, length: int) -> int:
     """Return how many windows there are; raise ValueError if there is none or they have fewer than `length` views."""
-    count, views = windows.observation.shape[:2]
+    count, views = windows.truth.shape[:2]
     if count == 0 or views < length:
         raise ValueError(f"need at least one window of {length} views, got {count} of {views}")
     return count
@@ -106,7 +107,7 @@ def prediction_error(
         # The last batch is filled up with earlier windows, so that one shape is compiled.
         rows = np.minimum(np.arange(first, first + batch), count - 1)
         part = Windows(
-            windows.observation[rows, :length],
+            {name: values[rows, :length] for name, values in windows.observation.items()},
             windows.action[rows, : length - 1],
             windows.truth[rows, :length],
         )

@@ -21,6 +21,7 @@ from owm_envs.env import DockingEnv
 from owm_envs.field import GeodesicField
 from owm_envs.files import replace_folder
 from owm_envs.policies import SlotPolicy, Slots
+from owm_envs.task.sensors import STATE
 
 FORMAT = 1
 DECISION = 1.0
@@ -96,13 +97,13 @@ class PPOPolicy(SlotPolicy):
         return HeldActions(np.zeros(count, np.int64), np.zeros((count, 6), np.float32))
 
     def act(
-        self, state: HeldActions, observation: Float[np.ndarray, "B O"], slots: Slots
+        self, state: HeldActions, observation: dict[str, np.ndarray], slots: Slots
     ) -> tuple[Float[np.ndarray, "B 6"], HeldActions]:
         """The action held; each slot decides anew when its second is over."""
         age, action = np.where(slots.fresh, 0, state.age), state.action
         due = age % self._hold == 0
         if due.any():
-            action = np.where(due[:, None], self.decide(observation, slots.port), action)
+            action = np.where(due[:, None], self.decide(observation[STATE], slots.port), action)
         limit = np.asarray(self.layout.wrench_limit, np.float32)
         return action if self.layout.normalize else action * limit, HeldActions(age + 1, action)
 

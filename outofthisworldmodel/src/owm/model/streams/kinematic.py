@@ -172,9 +172,9 @@ class Variant:
 
         def size(x: np.ndarray, axis: int | None = None) -> Array:
             mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
-            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.observation.dtype)
+            return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.view.dtype)
 
-        view = episodes.observation
+        view = episodes.view
         return Statistics(
             linear,
             self.filter.fit(episodes, linear),
