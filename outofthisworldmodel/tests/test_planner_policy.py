@@ -10,6 +10,7 @@ from free_body import BIAS, GOAL, LIMIT, NO_BIAS, PORT, FreeBody, move, small_fi
 from owm.planning.config import PlannerConfig
 from owm.planning.policy import PlannerPolicy
 from owm_envs.config import load_config
+from owm_envs.env import DockingEnv
 
 ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
 STARTS = np.stack([view_at((3, -20, 4)), view_at((-8, -14, -6), np.float32([0.5, -0.866, 0, 0]))])
@@ -197,3 +198,46 @@ def test_observations_are_checked():
     broken[1, policy.layout.view] = np.nan
     with pytest.raises(ValueError, match=r"not finite in slots \[1\]"):
         policy.predict(broken)
+
+
+@dataclass(frozen=True)
+class Ranging:
+    """How many decisions ago the flight began."""
+
+    name: str = "age"
+    shape: tuple[int, ...] = (2,)
+    dtype: str = "int32"
+    every: int = 1
+    may_miss: bool = False
+
+    def measure(self, key, truth):
+        """Measure."""
+        return jnp.full(2, truth.count, jnp.int32)
+
+
+@dataclass(frozen=True)
+class Looking(FreeBody):
+    """Falls aside by as much as its last measurement says, and asks for an integer history."""
+
+    parts: tuple[str, ...] = ("state", "age")
+
+    def encode(self, params, history):
+        """The last view, moved."""
+        assert history.observation["age"].shape == (3, 2) and history.observation["age"].dtype == jnp.int32
+        return super().encode(params, history).at[1].add(history.observation["age"][-1, 0])
+
+
+def test_a_model_sees_the_parts_that_it_looks_at():
+    env = DockingEnv(ENV, sensors=(Ranging(),))
+    policies = [PlannerPolicy(model, small_field(), env, PlannerConfig(), 2) for model in (Looking(), FreeBody())]
+    observation = {"state": observe(policies[0].layout, STARTS), "age": np.zeros((2, 2), np.int32)}
+    answers = []
+    for policy in policies:
+        policy.reset(ports=np.full(2, PORT))
+        answers.append([policy.predict(observation | {"age": np.full((2, 2), age, np.int32)})[0] for age in (0, 9)])
+    np.testing.assert_array_equal(answers[0][0], answers[1][0])
+    state = policies[0]._state.observation
+    assert state.keys() == {"state", "age"} and state["age"][:, :, 0].tolist() == [[0, 0, 9]] * 2
+    assert policies[1]._state.observation.keys() == {"state"}
+    with pytest.raises(ValueError, match="looks at age, which the environment does not observe; it observes state"):
+        PlannerPolicy(Looking(), small_field(), ENV, PlannerConfig(), 2)
