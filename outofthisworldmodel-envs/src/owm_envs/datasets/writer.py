@@ -100,7 +100,7 @@ class SplitWriter:
     def finish(self, statistics: Statistics) -> None:
         """Write the metadata that makes the folder a dataset, with the statistics to normalise by."""
         meta = self.folder / "meta"
-        _write_parquet(_task_table(), meta / "tasks.parquet")
+        _write_parquet([_task_table()], meta / "tasks.parquet")
         write_json(
             {name: {key: value.tolist() for key, value in part.items()} for name, part in statistics.items()},
             meta / "stats.json",
