@@ -97,7 +97,9 @@ def check_free(folder: Path, known: Collection[str] = ()) -> None:
     """
     if others := strangers(folder, known):
         told = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
-        raise FolderTaken(f"{folder} holds files of something else ({told}): choose another folder, or remove them")
+        raise FolderTaken(
+            f"{folder} holds files of something else ({told}): choose another folder (--out), or remove them"
+        )
 
 
 def remove(path: Path) -> None:
