@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping
+from hashlib import sha256
 from typing import Any
 
 from owm_envs.files import FolderTaken, check_free, output_folder, remove, write_atomically
@@ -71,6 +72,11 @@ class Claim:
         for name in [*self.made, *(self.found or {}).get("made", ()), self.file.name]:
             remove(self.folder / name)
         self.found = None
+
+
+def digest(asked: Mapping[str, Any]) -> str:
+    """Fingerprint of what was asked for."""
+    return sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()
 
 
 def _differences(asked: Any, found: Any, name: str = "") -> Iterator[str]:
