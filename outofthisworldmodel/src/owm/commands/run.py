@@ -1,6 +1,7 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -57,13 +58,13 @@ def train_ppo(out: Path, config: PPOConfig) -> None:
         ValueError: Stable-Baselines3 is missing.
         FolderTaken: `out` holds another run or something else.
     """
+    out = output_folder(out)
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
         raise ValueError(f"train-ppo needs ({error}): pip install 'outofthisworldmodel[ppo]'") from error
     from owm.baselines.ppo.train import train_ppo as run
 
-    out = output_folder(out)
     announce("compiling the simulator ...")
     last = run(config, out, console)
     print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
@@ -265,11 +266,13 @@ def evaluate_matrix(
 
 
 def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
-    said = ""
-    with bar("flying", "flights") as update:
+    said, update = "", None
+    with ExitStack() as stack:
 
         def report(done: int, total: int, what: str, how_far: str) -> None:
-            nonlocal said
+            nonlocal said, update
+            if update is None:  # no bar beside a refusal
+                update = stack.enter_context(bar("flying", "flights"))
             if what != said:
                 said = what
                 announce(f"{done}/{total} flights; {what}")

@@ -133,7 +133,7 @@ def _settle_rest(out: Path, stores: list["Store"], fresh: bool) -> None:
     asked |= {store.claim.file for store in stores}
     rest = {file for row in out.glob(_ROWS) for file in (row, *row.parent.glob("[!.]*.npz"))} - asked
     if rest and not fresh:
-        one = min(rest).relative_to(out / "flights").with_suffix("")
+        one = min(rest, key=lambda file: (file.suffix != ".npz", file)).relative_to(out / "flights").with_suffix("")
         raise FolderTaken(
             f"{out} holds flights that are not asked for now ({one}): choose another folder (--out), ask for them as "
             "well, or have them removed by --fresh"
