@@ -25,6 +25,7 @@ from owm.training.config import TrainConfig
 from owm.training.metrics import Metrics, View
 from owm.training.step import TrainState, batch_mesh, initial_state, put, train_chunk
 from owm.training.validation import validate, validation_sets
+from owm_envs.claims import Claim
 
 
 @dataclass(frozen=True)
