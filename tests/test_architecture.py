@@ -11,7 +11,7 @@ SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src
 FLOORS = {
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view"},
-        {"shell", "station"},
+        {"shell", "station", "claims"},
         {"config"},
         {"dynamics"},
         {"task"},

@@ -98,7 +98,7 @@ def test_generate_names_a_mistake_and_writes_nothing(capsys, tmp_path, arguments
 def test_generate_leaves_an_existing_folder_alone(capsys, tmp_path):
     (tmp_path / "mine.txt").write_text("precious")
     assert run("generate", "--out", str(tmp_path)) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "holds files of something else (mine.txt)" in capsys.readouterr().err
 
 
 def test_ports_lists_every_port(capsys):

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from owm_envs.datasets.schema import FEATURES, columns_from_episode
 from owm_envs.datasets.statistics import aggregate, episode_statistics
 from owm_envs.datasets.writer import SplitWriter
 from owm_envs.episode import POLICY_NAMES, Episode
+from owm_envs.files import FolderTaken
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS, goal_poses
 from owm_envs.task.events import Outcome
 
@@ -61,6 +63,16 @@ def recorded(tmp_path_factory):
     """A dataset recorded in one go: (folder, its summary)."""
     folder = tmp_path_factory.mktemp("recorded") / "set"
     return folder, generate(folder, CONFIG, REQUEST)
+
+
+@pytest.fixture
+def at_home(tmp_path, monkeypatch):
+    """An empty folder as the current one and as the user's own."""
+    home = tmp_path / "home"
+    home.mkdir()
+    monkeypatch.chdir(home)
+    monkeypatch.setenv("HOME", str(home))
+    return home
 
 
 @pytest.fixture
@@ -192,7 +204,7 @@ def test_a_killed_run_leaves_nothing_or_resumes_to_the_same_dataset(recorded, tm
     assert not folder.exists()
     with pytest.raises(FileNotFoundError, match="holds an unfinished one"):
         datasets.read(folder, "train")
-    with pytest.raises(FileExistsError, match="unfinished run with other settings"):
+    with pytest.raises(FileExistsError, match=r"set.partial holds another run, which differs in request.seed"):
         generate(folder, CONFIG, Request(transitions=3000, val_transitions=100, seed=8, episodes_per_batch=2))
     kept = first.stat().st_mtime_ns
     told = []
@@ -221,9 +233,49 @@ def test_a_batch_without_its_seal_is_written_again(written, tmp_path):
 
 
 def test_an_existing_folder_is_left_alone(recorded):
-    folder, _ = recorded
-    with pytest.raises(FileExistsError, match="exists already"):
-        generate(folder, CONFIG, REQUEST)
+    """The same again is done already; anything else is refused before anything is written."""
+    folder, summary = recorded
+    before, told = {file: file.stat().st_mtime_ns for file in folder.rglob("*")}, []
+    assert generate(folder, CONFIG, REQUEST, announce=told.append) == summary and "complete" in told[0]
+    with pytest.raises(FolderTaken, match=r"set holds another run, which differs in request.seed: choose another"):
+        generate(folder, CONFIG, replace(REQUEST, seed=8))
+    with pytest.raises(FolderTaken, match=r"holds files of something else \(set\): choose another folder"):
+        generate(folder.parent, CONFIG, REQUEST)
+    assert {file: file.stat().st_mtime_ns for file in folder.rglob("*")} == before
+    assert [path.name for path in folder.parent.iterdir()] == ["set"]
+
+
+@pytest.mark.parametrize("name", ["elsewhere", "."])
+def test_a_finished_run_is_not_published_over_other_files(recorded, at_home, name):
+    whole, _ = recorded
+    place = (at_home / name).resolve()
+    place.mkdir(exist_ok=True)
+    shutil.copytree(whole, partial := place.with_name(place.name + ".partial"))
+    (place / "README.md").write_text("precious")
+    with pytest.raises(FolderTaken, match=r"holds files of something else \(README.md\)"):
+        generate(name, CONFIG, REQUEST)
+    assert [(f.name, f.read_text()) for f in place.glob("R*")] == [("README.md", "precious")]
+    (place / "README.md").unlink()
+    generate(name, CONFIG, REQUEST)
+    assert datasets.read(place, "val") and not partial.exists()
+
+
+def test_a_run_killed_while_it_claimed_its_folder_may_begin(tmp_path):
+    (tmp_path / "set.partial").mkdir()
+    (tmp_path / "set.partial" / ".generation.json.17.partial").write_text("{")
+    with pytest.raises(OSError, match="MB are free"):  # refused for its size alone
+        generate(tmp_path / "set", CONFIG, Request(transitions=10**15))
+
+
+@pytest.mark.parametrize("left", [None, "train\ngeneration.json"])
+def test_a_run_killed_after_its_last_file_has_moved_is_complete(recorded, tmp_path, left):
+    whole, summary = recorded
+    partial = tmp_path / "set.partial"
+    partial.mkdir()
+    if left:
+        (partial / ".publishing").write_text(left)
+    shutil.copytree(whole, tmp_path / "set")
+    assert generate(tmp_path / "set", CONFIG, REQUEST) == summary and not partial.exists()
 
 
 @pytest.mark.parametrize(
@@ -341,16 +393,6 @@ def test_the_columns_of_the_published_datasets_are_read_too(tmp_path, inertial):
 
 def test_policy_ids_in_files_never_change():
     assert POLICY_NAMES[:5] == ("random", "orbit", "dock", "dock-geodesic", "excite")
-
-
-@pytest.fixture
-def at_home(tmp_path, monkeypatch):
-    """An empty folder as the current one and as the user's own."""
-    home = tmp_path / "home"
-    home.mkdir()
-    monkeypatch.chdir(home)
-    monkeypatch.setenv("HOME", str(home))
-    return home
 
 
 def test_an_empty_folder_may_be_named_in_any_way(recorded, at_home):

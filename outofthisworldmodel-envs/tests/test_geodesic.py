@@ -215,7 +215,7 @@ def test_cache_serves_every_selection_and_survives_damage(cache, station_field, 
     again = load_field(("harmony_zenith",), progress=report)
     assert solved[0] == ("solving the geodesic field of harmony_zenith", 0, 1) and solved[-1][1:] == (1, 1)
     np.testing.assert_array_equal(again.nodes[0], station_field.nodes[1])
-    assert not list(cache.glob("*.tmp"))
+    assert not list(cache.glob(".*"))
 
 
 def test_an_unwritable_cache_only_warns(tmp_path, monkeypatch):

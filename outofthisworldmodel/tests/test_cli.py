@@ -160,6 +160,36 @@ def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd)
     told = capfd.readouterr()
     assert "dock to unity_nadir" in told.out and "compiling" in told.err
 
+    # The same again finds the flight there; another one is refused, and neither flies.
+    before = {file: file.read_bytes() for file in out.iterdir()}
+    again = ["fly", "--policy", "dock", "--port", "unity_nadir", "--env", "iss", "--out", str(out)]
+    cli.main(again)
+    told = capfd.readouterr()
+    assert "dock to unity_nadir" in told.out and "holds these flights already" in told.err
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*again, "--seed", "1"])
+    (line,) = capfd.readouterr().err.strip().splitlines()
+    said = f"error: {out} holds another run, which differs in seed: choose another folder (--out), or remove it"
+    assert ended.value.code == 2 and line == said
+    assert {file: file.read_bytes() for file in out.iterdir()} == before
+
+
+def test_a_report_of_other_policies_is_not_replaced(tmp_path, monkeypatch, capfd):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    out = tmp_path / "scored"
+    row = out / "flights" / "random" / "own" / "nominal"
+    row.mkdir(parents=True)
+    (row / "row.json").write_text('{"settings": {}}')
+    (row / "zvezda_aft.npz").touch()
+    (out / "report.md").write_text("random")
+    for words in (["docking", "orbit"], ["prediction", "exact", "--data", "none"]):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["evaluate", *words, "--out", str(out)])
+        (line,) = capfd.readouterr().err.strip().splitlines()
+        assert ended.value.code == 2 and line.startswith(f"error: {out} holds f") and "choose another folder" in line
+        assert "--out" in line
+    assert (out / "report.md").read_text() == "random" and not (out / "run.json").exists()
+
 
 def test_models_are_found_by_name_and_by_folder(tmp_path):
     linear = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), LinearMap.skeleton(jnp.float32))
@@ -182,12 +212,20 @@ def test_models_are_found_by_name_and_by_folder(tmp_path):
         ("fly --out FILE", "is no folder"),
         ("evaluate docking dock --ports zvezda", "did you mean 'zvezda_aft'?"),
         ("evaluate docking dock --out FILE", "is no folder"),
+        ("evaluate prediction exact --data none --out FILE", "is no folder"),
+        ("train --data none --out FILE", "is no folder"),
+        ("train-ppo --out FILE", "is no folder"),
+        ("demo --out FILE", "is no folder"),
+        ("demo --out HOME", "holds files of something else (file): choose another folder"),
+        ("train --data none --out HOME", "holds files of something else (file): choose another folder"),
+        ("fly --out HOME", "holds files of something else (file): choose another folder"),
+        ("evaluate docking dock --out HOME", "holds files of something else (file): choose another folder"),
     ],
 )
 def test_a_mistake_is_one_line_before_anything_flies(command, said, tmp_path, capsys):
     file = tmp_path / "file"
     file.touch()
-    words = command.replace("FILE", str(file)).split()
+    words = command.replace("FILE", str(file)).replace("HOME", str(tmp_path)).split()
     with pytest.raises(SystemExit) as ended:
         cli.main(words if "--out" in words else [*words, "--out", str(tmp_path / "out")])
     told = capsys.readouterr().err.strip().splitlines()

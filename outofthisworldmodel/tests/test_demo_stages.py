@@ -1,7 +1,7 @@
 import pytest
 
 from owm.stages import Stages, peak_memory, source_digest
-from owm_envs.files import write_atomically
+from owm_envs.files import FolderTaken, write_atomically
 
 
 def work(folder, log, name):
@@ -13,7 +13,7 @@ def work(folder, log, name):
     return run
 
 
-def test_a_killed_run_goes_on_and_a_finished_one_starts_over(tmp_path):
+def test_a_killed_run_goes_on_and_a_finished_one_is_done(tmp_path):
     folder, log = tmp_path / "run", []
     first = Stages(folder, {"seed": 0})
     assert first.run("a", ["a"], work(folder, log, "a")) == {"made": "a"}
@@ -29,22 +29,23 @@ def test_a_killed_run_goes_on_and_a_finished_one_starts_over(tmp_path):
     assert second.run("a", ["a"], work(folder, log, "a")) == {"made": "a"}
     assert second.run("b", ["b"], work(folder, log, "b")) == {"made": "b"}
     assert log == ["a", "b"] and second.resumed == ["a"] and set(second.seconds) == {"a", "b"}
-    second.finish()
 
     third = Stages(folder, {"seed": 0})
-    assert not (folder / "a").exists() and not (folder / "b").exists()
-    third.run("a", ["a"], work(folder, log, "a"))
-    assert log == ["a", "b", "a"] and third.resumed == []
+    third.run("a", ["a"], work(folder, log, "a")), third.run("b", ["b"], work(folder, log, "b"))
+    assert log == ["a", "b"] and third.resumed == ["a", "b"]
 
 
-@pytest.mark.parametrize("again", [({"seed": 1}, False), ({"seed": 0}, True)])
-def test_other_settings_or_fresh_start_over(tmp_path, again):
-    settings, fresh = again
+def test_other_settings_are_refused_and_other_code_or_fresh_starts_over(tmp_path):
     folder, log = tmp_path / "run", []
-    Stages(folder, {"seed": 0}).run("a", ["a"], work(folder, log, "a"))
+    Stages(folder, {"seed": 0}, "1.0").run("a", ["a"], work(folder, log, "a"))
     (folder / "mine").write_text("kept")
-    Stages(folder, settings, fresh=fresh).run("a", ["a"], work(folder, log, "a"))
-    assert log == ["a", "a"] and (folder / "mine").read_text() == "kept"
+    with pytest.raises(FolderTaken, match=r"run holds another run, which differs in seed: choose .* --fresh"):
+        Stages(folder, {"seed": 1}, "1.0")
+    assert (folder / "a").exists()
+    for number, again in enumerate([({"seed": 0}, "1.1", False), ({"seed": 0}, "1.1", True), ({"seed": 1}, "", True)]):
+        *asked, fresh = again
+        Stages(folder, *asked, fresh=fresh).run("a", ["a"], work(folder, log, "a"))
+        assert log == ["a"] * (number + 2) and (folder / "mine").read_text() == "kept"
 
 
 def test_a_stage_whose_output_is_gone_is_done_again(tmp_path):
@@ -57,8 +58,9 @@ def test_a_stage_whose_output_is_gone_is_done_again(tmp_path):
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "corpus").mkdir()
-    with pytest.raises(FileExistsError, match="something else"):
-        Stages(tmp_path, {})
+    for fresh in (False, True):
+        with pytest.raises(FolderTaken, match="something else"):
+            Stages(tmp_path, {}, fresh=fresh)
     assert (tmp_path / "corpus").is_dir()
 
 

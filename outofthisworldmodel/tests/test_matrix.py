@@ -15,6 +15,7 @@ from owm.study.matrix import Matrix, Study, read_matrix, row_name, rows_of
 from owm.study.report import given_of, rows_flown, write_matrix_report
 from owm.study.run import Pace, run_matrix
 from owm_envs.field import load_field
+from owm_envs.files import FolderTaken
 from owm_envs.station import hull_boxes
 
 TABLE = """
@@ -160,11 +161,19 @@ def test_a_killed_run_goes_on_and_other_settings_are_refused(small, tmp_path):
     pd, drift = flown["PD", None, "nominal"][0], flown["drift", None, "nominal"][0]
     assert len(pd) == 4 and pd.digest.tolist() == drift.digest.tolist() and (pd.instants == 5).all()
 
-    with pytest.raises(ValueError, match=r"another flights.*--fresh"):
+    with pytest.raises(ValueError, match=r"differs in settings.flights.*--fresh"):
         run_matrix(matrix.model_copy(update={"flights": 3}), tmp_path, conditions={"nominal": simple})
     heavy = Condition("heavy", fidelity="iss", hidden={**simple.hidden, "chaser": {"mass": 15_000.0}})
-    with pytest.raises(ValueError, match="another environment"):
+    with pytest.raises(ValueError, match=r"differs in settings.environment.chaser.mass"):
         run_matrix(matrix, tmp_path, conditions={"nominal": heavy})
+
+    # Flights are added to, and never left out of a report in silence.
+    fewer_ports = matrix.model_copy(update={"ports": ("unity_nadir",)})
+    with pytest.raises(FolderTaken, match=r"not asked for now \(PD/own/nominal/zvezda_aft\): choose another folder"):
+        run_matrix(fewer_ports, tmp_path, conditions={"nominal": simple})
+    with pytest.raises(FolderTaken, match=r"differs in command: choose another folder"):
+        run_matrix(matrix, tmp_path, conditions={"nominal": simple}, command="owm fly")
+    assert first.read_bytes() == kept
 
     # A study that wants fewer flights than were flown shows the first of each port.
     fewer = matrix.model_copy(update={"studies": (study.model_copy(update={"flights": 1, "figures": False}),)})

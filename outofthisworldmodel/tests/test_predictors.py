@@ -11,6 +11,7 @@ from owm.checkpoint import save_world_model
 from owm.data.recordings import training_episodes
 from owm_envs.config import load_config
 from owm_envs.datasets.generate import Request, generate
+from owm_envs.files import FolderTaken
 
 
 @pytest.fixture(scope="module")
@@ -40,3 +41,6 @@ def test_all_are_scored_on_the_same_instants_the_filter_with_the_longest_history
     assert mean["EKF"] < mean["exact dynamics (iss)"] < mean["constant velocity"]
     written = json.loads((tmp_path / "scored" / "prediction.json").read_text(encoding="utf-8"))
     assert len(written["error"]) == 64 * len(seen) and (tmp_path / "scored" / "calibration.png").is_file()
+    assert predictors.evaluate_prediction([str(tmp_path / "long")], [corpus], **few) == ({}, {}), "done already"
+    with pytest.raises(FolderTaken, match=r"scored holds another run, which differs in windows: choose another"):
+        predictors.evaluate_prediction([str(tmp_path / "long")], [corpus], **few | {"windows": 7})

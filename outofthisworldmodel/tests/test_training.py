@@ -18,7 +18,6 @@ from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
 from owm.catalogue.checkpoint import load_world_model
-from owm.checkpoint import CheckpointError
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.streams import STREAMS
@@ -30,6 +29,7 @@ from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
 from owm.training.step import initial_state, train_chunk
 from owm.training.validation import validation_sets
+from owm_envs.files import FolderTaken
 
 CONFIG = TrainConfig(
     model=ModelConfig(width=8, heads=2, window=4, head_width=8, history_length=4),
@@ -121,6 +121,15 @@ def test_a_finished_run_is_returned_and_another_is_refused(uninterrupted, episod
         train(CONFIG, episodes, other, out, console=QUIET)
 
 
+@pytest.mark.parametrize("resume", [True, False])
+def test_a_folder_of_something_else_is_no_place_to_train_in(resume, episodes, tmp_path):
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "mine").write_text("precious")
+    with pytest.raises(FolderTaken, match=r"holds files of something else \(model\)"):
+        train(CONFIG, episodes, episodes, tmp_path, resume=resume, console=QUIET)
+    assert [path.name for path in tmp_path.rglob("*")] == ["model", "mine"]
+
+
 @pytest.mark.parametrize("part", ["run.json", "state"])
 def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
     out = tmp_path / "damaged"
@@ -129,7 +138,7 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
     files = [out / part] if part == "run.json" else [file for file in (out / part).rglob("*") if file.is_file()]
     for file in files:
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(CheckpointError, match=r"is damaged.*choose another folder"):
+    with pytest.raises(ValueError, match=r"is damaged.*choose another folder"):
         train(CONFIG, episodes, episodes, out, console=QUIET)
 
 

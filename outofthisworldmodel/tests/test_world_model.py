@@ -23,6 +23,7 @@ from owm.model.streams import STREAMS
 from owm.model.world_model import RENAMED, LearnedWorldModel, Network, Params
 from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
 from owm.scores.prediction import prediction_error
+from owm_envs.files import FolderTaken
 
 CONFIG = ModelConfig(width=16, heads=2, window=5, head_width=16)
 DEPTH = 10
@@ -359,6 +360,16 @@ def test_every_model_survives_the_disk(kind, model, baseline, tmp_path):
         np.testing.assert_array_equal(a, b)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m"]
     assert jax.tree.structure(loaded.params) == jax.tree.structure(chosen.params)
+
+
+@pytest.mark.parametrize("mine", ["config.json", "weights.safetensors", "thesis.tex"])
+def test_a_folder_of_the_user_s_own_is_no_place_for_a_checkpoint(mine, tmp_path, monkeypatch):
+    (tmp_path / mine).write_text('{"mine": true}')
+    monkeypatch.chdir(tmp_path)
+    for path in (tmp_path, "."):
+        with pytest.raises(FolderTaken, match=f"holds {mine} but no checkpoint: choose another folder"):
+            save_world_model(ConstantVelocity(), path)
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [(mine, '{"mine": true}')]
 
 
 @pytest.fixture

@@ -1,24 +1,35 @@
 """Files and folders that are either whole or not there, and text as editors leave it."""
 
 import codecs
+import errno
 import os
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+JOURNAL = ".publishing"
+"""Lies in a finished folder while its contents move out of it one by one, and names them."""
+_LEFT = re.compile(r"\..+\.\d+\.partial")
+"""Names of what is being written, or was when its writer was killed."""
+
+
+def _partial(path: Path) -> Path:
+    """Where this process writes what is to be moved to `path`."""
+    return path.with_name(f".{path.name}.{os.getpid()}.partial")
+
 
 def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, text: bool = False) -> None:
-    """Let `write` fill a file beside `path`, then move it into place; folders on the way are made.
+    """Let `write` fill a file beside `path`, then move it into place; folders on the way are made, links followed.
 
     Args:
         write: takes the open file.
         text: open it as UTF-8 text instead of bytes.
     """
-    path = Path(path)
+    path = Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial = _partial(path)
     try:
         with open(partial, "w", encoding="utf-8", newline="") if text else open(partial, "wb") as file:
             write(file)
@@ -67,22 +78,94 @@ def output_folder(path: str | os.PathLike) -> Path:
     return folder
 
 
+class FolderTaken(FileExistsError, ValueError):
+    """An output folder holds another run's results, or files of something else: told before any work is done."""
+
+
+def strangers(folder: Path, known: Collection[str] = ()) -> list[str]:
+    """What lies in a folder beside what is known to, and beside what a killed writer left half written."""
+    if not folder.is_dir():
+        return []
+    return sorted(name for name in os.listdir(folder) if name not in known and not _LEFT.fullmatch(name))
+
+
+def check_free(folder: Path, known: Collection[str] = ()) -> None:
+    """Refuse a folder that holds anything but what is known to.
+
+    Raises:
+        FolderTaken: it does.
+    """
+    if others := strangers(folder, known):
+        told = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
+        raise FolderTaken(
+            f"{folder} holds files of something else ({told}): choose another folder (--out), or remove them"
+        )
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a link or a folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
 def publish(finished: Path, folder: Path) -> None:
     """Let a finished folder take the place of one that is not there, or empty.
 
     In one step, but where a folder has to stay what it is, as the current one and a mount do: its contents move then,
     JSON last, and the same call goes on where it was killed. What killed writers left in the middle goes.
+
+    Raises:
+        FolderTaken: the folder holds something else.
     """
-    for left in finished.rglob(".*.partial"):
-        left.unlink()
-    if folder.is_dir() and (folder == Path.cwd() or os.path.ismount(folder)):
-        for child in sorted(finished.iterdir(), key=lambda child: child.suffix == ".json"):
-            shutil.move(child, folder / child.name)
-        finished.rmdir()
+    if not any(finished.iterdir()):  # killed at the last step of all
+        return finished.rmdir()
+    names = published(finished)
+    check_free(folder, names)
+    for left in [*finished.rglob(".*.partial"), *folder.glob(".*.partial")]:
+        if _LEFT.fullmatch(left.name):
+            remove(left)
+    if not names and not _stays(folder):
+        if folder.is_dir():
+            folder.rmdir()
+        os.replace(finished, folder)
         return
-    if folder.is_dir():
-        folder.rmdir()
-    os.replace(finished, folder)
+    names = names or {child.name for child in finished.iterdir()}
+    write_atomically(finished / JOURNAL, lambda file: file.write("\n".join(names)), text=True)
+    for name in sorted(names, key=lambda name: name.endswith(".json")):
+        if not (folder / name).exists():
+            _move(finished / name, folder / name)
+        remove(finished / name)  # where it was copied
+    (finished / JOURNAL).unlink()
+    finished.rmdir()
+
+
+def published(finished: Path) -> set[str]:
+    """Names of what a call of `publish` has begun to move out of a folder."""
+    try:
+        return set((finished / JOURNAL).read_text(encoding="utf-8").splitlines())
+    except OSError:
+        return set()
+
+
+def _move(source: Path, target: Path) -> None:
+    """Move a file or folder, also to another disk: at its new place it is whole or not there."""
+    try:
+        os.rename(source, target)
+    except OSError as error:
+        if error.errno != errno.EXDEV:
+            raise
+        partial = _partial(target)
+        shutil.copytree(source, partial) if source.is_dir() else shutil.copy2(source, partial)
+        os.rename(partial, target)
+
+
+def _stays(folder: Path) -> bool:
+    """Whether a folder cannot be exchanged for another: only its contents can."""
+    if not folder.is_dir():
+        return False
+    return folder == Path.cwd() or os.path.ismount(folder) or not os.access(folder.parent, os.W_OK | os.X_OK)
 
 
 def slug(name: str) -> str:
@@ -90,17 +173,45 @@ def slug(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"
 
 
-def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> None:
-    """Write a folder of files beside `path`, then move it into place; one that is there is replaced."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    fresh, old = path.with_name(path.name + ".writing"), path.with_name(path.name + ".replaced")
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir()
-    for name, data in contents.items():
-        (fresh / name).write_bytes(data)
-    shutil.rmtree(old, ignore_errors=True)
-    if path.exists():
-        path.rename(old)
-    fresh.rename(path)
-    shutil.rmtree(old, ignore_errors=True)
+def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> Path:
+    """Write a folder of files, whole or not at all, in place of none, an empty one, or one that holds only such files.
+
+    Where a folder has to stay what it is, as the current one and a mount do, each file is whole or not there.
+
+    Returns:
+        Where it is: "~" and links followed.
+
+    Raises:
+        NotADirectoryError, PermissionError: as `output_folder`.
+        FolderTaken: the folder holds other files, which stay.
+    """
+    folder = output_folder(path)
+    check_free(folder, contents)
+    if _stays(folder):
+        for name, data in contents.items():
+            _clean(folder / name)
+            write_atomically(folder / name, lambda file, data=data: file.write(data))
+        return folder
+    stage = _partial(folder)
+    new, old = stage / "new", stage / "old"
+    remove(stage)
+    try:
+        new.mkdir(parents=True)
+        for name, data in contents.items():
+            (new / name).write_bytes(data)
+        if folder.exists():
+            os.rename(folder, old)
+        os.rename(new, folder)
+    finally:
+        if old.exists() and not folder.exists():
+            os.rename(old, folder)
+        remove(stage)
+    _clean(folder)  # not before: what a killed writer left may hold the last whole one
+    return folder
+
+
+def _clean(path: Path) -> None:
+    """Remove what killed writers of a file or folder left beside it."""
+    for left in path.parent.iterdir():
+        if re.fullmatch(rf"\.{re.escape(path.name)}\.\d+\.partial", left.name):
+            remove(left)

@@ -15,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from owm_envs.files import replace_folder
+from owm_envs.files import FolderTaken, output_folder, replace_folder, strangers
 
 FORMAT = 2
 """Raised whenever older files would be read wrongly."""
@@ -57,10 +57,13 @@ def save_world_model(model: Saveable, path: str | os.PathLike, *, about: Mapping
         path: directory to write.
         about: JSON-able facts to keep beside it, such as how it was trained.
 
+    Returns:
+        Where it is: "~" and links followed.
+
     Raises:
         TypeError: the model says nothing of its contents.
+        FolderTaken: the directory holds something else than a checkpoint.
     """
-    path = Path(path)
     if not hasattr(model, "contents"):
         raise TypeError(f"cannot save a {type(model).__name__}; expected a world model of this package")
     kind, name, config, weights, statistics = model.contents()
@@ -76,9 +79,28 @@ def save_world_model(model: Saveable, path: str | os.PathLike, *, about: Mapping
         "sha256": {name: sha256(data).hexdigest() for name, data in contents.items()},
         "about": dict(about or {}),
     }
-    contents["config.json"] = (json.dumps(header, indent=1) + "\n").encode()
-    replace_folder(path, contents)
-    return path
+    return write_checkpoint(path, header, contents)
+
+
+def write_checkpoint(path: str | os.PathLike, header: dict[str, Any], contents: Mapping[str, bytes]) -> Path:
+    """Write a checkpoint's files and its `config.json`, in place of nothing or of an earlier checkpoint.
+
+    Raises:
+        NotADirectoryError, PermissionError: as `output_folder`.
+        FolderTaken: the directory holds something else.
+    """
+    folder = output_folder(path)
+    if (others := strangers(folder)) and not _is_checkpoint(folder):
+        raise FolderTaken(f"{folder} holds {others[0]} but no checkpoint: choose another folder, or remove it")
+    # The header first: it tells whose the folder is, and that files beside it are not its own yet.
+    return replace_folder(folder, {"config.json": (json.dumps(header, indent=1) + "\n").encode(), **contents})
+
+
+def _is_checkpoint(folder: Path) -> bool:
+    try:
+        return {"format", "kind", "sha256"} <= set(json.loads((folder / "config.json").read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return False
 
 
 def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) -> Any:

@@ -21,7 +21,7 @@ def fly(
     shell: Shell = "100-225",
     noise: str = "cooperative",
     env: str = "iss-numerical",
-    out: Path = Path("runs/fly"),
+    out: Path | None = None,
 ) -> None:
     """Fly a policy to a docking port and print how it went.
 
@@ -35,7 +35,7 @@ def fly(
         shell: Distance from the station at the start, m.
         noise: Sensor noise: none, cooperative or noncooperative.
         env: iss, iss-hcw or iss-numerical.
-        out: Folder for CSV, JSON and picture.
+        out: Folder for CSV, JSON and picture; by default one of these flights' own below runs/fly.
     """
     _compilation_cache()
     from owm.commands.run import fly as run
@@ -66,7 +66,7 @@ def evaluate_docking(
         noise: Sensor noise: none, cooperative or noncooperative.
         slots: Most flights side by side.
         out: Folder for flights, report and pictures; a killed run goes on where it was.
-        fresh: Fly again what OUT holds of other settings.
+        fresh: Replace what OUT holds of other settings, and flights that are not asked for.
         processes: That fly, as for `owm evaluate matrix`.
     """
     _compilation_cache()
@@ -91,7 +91,7 @@ def evaluate_matrix(
         table: TOML file: policies, and studies of them.
         out: Folder for flights, report and pictures; a killed run goes on where it was.
         slots: Most flights side by side.
-        fresh: Fly again what OUT holds of other settings.
+        fresh: Replace what OUT holds of other settings, and flights that are not asked for.
         fly: Or only report on what is complete.
         processes: That fly, on equal shares of the cores: on a CPU faster than one on all of them.
         prediction: Folder that `owm evaluate prediction` wrote, to be told of in the report.
@@ -110,7 +110,7 @@ def evaluate_prediction(
     spread_windows: int = 48,
     samples: int = 199,
     seed: int = 0,
-    out: Path = Path("runs/evaluate"),
+    out: Path = Path("runs/prediction"),
 ) -> None:
     """Score open-loop predictions by horizon on recorded flights, and how well their spread is calibrated.
 
@@ -124,7 +124,7 @@ def evaluate_prediction(
         spread_windows: Windows to draw samples in.
         samples: Trajectories to draw in each.
         seed: Decides the windows.
-        out: Folder for JSON and pictures.
+        out: Folder for JSON and pictures; the same again finds them there.
     """
     _compilation_cache()
     from owm.catalogue.predictors import evaluate_prediction as run
@@ -155,9 +155,9 @@ def demo(
 
     Args:
         scale: full takes up to a quarter of an hour on two cores, ci a few minutes.
-        out: Folder for everything; a killed run is resumed, a finished one replaced.
+        out: Folder for everything; a killed run is resumed by the same command, a finished one is kept.
         seed: Decides everything random.
-        fresh: Start over, whatever is there.
+        fresh: Start over, whatever run is there.
     """
     _compilation_cache()
     from owm.commands.demo import demo as run

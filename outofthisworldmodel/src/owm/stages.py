@@ -2,53 +2,48 @@
 
 import hashlib
 import json
-import shutil
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from owm_envs.claims import Claim
 from owm_envs.files import write_atomically
-
-_STATE = "state.json"
 
 
 class Stages:
     """The stages of one run in one folder.
 
-    A run that was killed is continued if its settings are the same; a finished one, or one of other settings,
-    is started over.
+    The same again goes on, or finds all done; stages that other code has made are done again.
 
     Args:
-        folder: of the run; empty, new, or one that an earlier run made.
-        settings: everything that the results depend on, JSON-able.
+        path: of the run's folder; empty, new, or one that an earlier start of the run made.
+        settings: everything that was asked for and that the results depend on, JSON-able.
+        code: fingerprint of what else they depend on.
         fresh: start over in any case.
 
     Attributes:
+        folder: of the run: "~" and links followed.
         resumed: names of the stages that were found done.
         seconds: wall time of each stage when it was run.
         peak: largest resident size of the processes that ran them, bytes; 0 where the system does not tell.
 
     Raises:
-        FileExistsError: the folder holds something else.
+        FolderTaken: the folder holds another run, or something else.
     """
 
-    def __init__(self, folder: Path, settings: dict[str, Any], *, fresh: bool = False):
-        self.folder = folder
+    def __init__(self, path: str | os.PathLike, settings: dict[str, Any], code: str = "", *, fresh: bool = False):
         self.resumed: list[str] = []
         self.seconds: dict[str, float] = {}
         self.peak = 0.0
-        digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-        found = self._read(_STATE)
-        if folder.exists() and any(folder.iterdir()) and found is None:
-            raise FileExistsError(f"{folder} holds files of something else; choose another folder")
-        if found is not None and (fresh or found.get("finished") or found.get("settings") != digest):
-            for name in [*found.get("made", []), "stages"]:
-                _remove(folder / name)
-            found = None
-        self._state = found or {"settings": digest, "finished": False, "made": []}
-        self._write()
+        instead = "remove it, or start over with --fresh"
+        self._claim = Claim(path, settings, "state.json", made=["stages"], replace=fresh, instead=instead)
+        self.folder = self._claim.folder
+        if self._claim.found and (fresh or self._claim.found.get("code") != code):
+            self._claim.start_over()
+        self._claim.note(code=code, made=(self._claim.found or {}).get("made", []))
 
     def run(self, name: str, outputs: Sequence[str], work: Callable[[], Any]) -> Any:
         """Do a stage unless it is done; whatever `work` returns must be JSON-able.
@@ -74,18 +69,9 @@ class Stages:
 
     def claim(self, *names: str) -> None:
         """Note what lies in the folder because of this run, so that starting over can remove it."""
-        new = [name for name in names if name not in self._state["made"]]
-        if new:
-            self._state["made"] += new
-            self._write()
-
-    def finish(self) -> None:
-        """Note that the run is complete."""
-        self._state["finished"] = True
-        self._write()
-
-    def _write(self) -> None:
-        self._put(_STATE, self._state)
+        made = self._claim.found["made"]
+        if new := [name for name in names if name not in made]:
+            self._claim.note(made=[*made, *new])
 
     def _put(self, name: str, content: Any) -> None:
         write_atomically(self.folder / name, lambda file: json.dump(content, file, indent=1), text=True)
@@ -95,13 +81,6 @@ class Stages:
             return json.loads((self.folder / name).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def source_digest() -> str:

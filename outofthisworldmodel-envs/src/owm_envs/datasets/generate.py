@@ -1,7 +1,6 @@
 """Record a dataset: whole episodes in seed order, in batches that a killed run can be resumed from."""
 
 import errno
-import json
 import math
 import shutil
 from collections import Counter
@@ -13,11 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.card import dataset_card
-from owm_envs.datasets.writer import SplitWriter, write_json
+from owm_envs.datasets.writer import SplitWriter
 from owm_envs.episode import POLICY_NAMES, Episode
-from owm_envs.files import output_folder, publish
+from owm_envs.files import JOURNAL, check_free, output_folder, publish, published, remove, strangers, write_atomically
 from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
 
 if TYPE_CHECKING:
@@ -109,10 +109,10 @@ def generate(
     """Record `out/train` and `out/val`, each a LeRobot v3 dataset.
 
     Everything is written below `out.partial`, which becomes `out` in one step at the end. A run that was killed is
-    resumed, batch by batch, by the same call; its result is the same as if it had not been.
+    resumed, batch by batch, by the same call; its result is the same as if it had not been. A finished one is kept.
 
     Args:
-        out: folder to make; must not exist.
+        out: folder to make; new or empty.
         sensors: what chasers carry beside relative navigation; each is a column `observation.NAME` more.
         announce: told in words what begins.
         progress: told how far it is.
@@ -121,29 +121,35 @@ def generate(
         Counts of episodes, transitions, policies and outcomes of each split, as in `generation.json`.
 
     Raises:
-        FileExistsError: `out` exists, or an unfinished run of other settings stands in its way.
+        FolderTaken: `out` holds something else, or an unfinished run of other settings stands in its way.
         ValueError: no train port is configured.
         OSError: the disk is full.
     """
     out = output_folder(out)
     partial = out.with_name(out.name + ".partial")
     settings = {"format": FORMAT, "request": asdict(request), "environment": config.model_dump(mode="json")}
-    if sensors:
-        settings["sensors"] = [repr(sensor) for sensor in sensors]
-    settings = json.loads(json.dumps(settings))
-    if (finished := _marker(partial)).get("result") and {name: finished[name] for name in settings} == settings:
-        publish(partial, out)  # all that was left to do when the run was killed
-        return finished["result"]
-    if out.exists() and any(out.iterdir()):
-        raise FileExistsError(f"{out} exists already; choose another folder or delete it")
-    output_folder(partial)
+    settings["sensors"] = [repr(sensor) for sensor in sensors] or None
+    moved = published(partial)
+    done = Claim(out, settings, "generation.json", besides=moved)
+    if result := (done.found or {}).get("result"):
+        if partial.is_dir() and not strangers(partial, [JOURNAL]):
+            remove(partial)  # the last that was left to do when the run was killed
+        announce(f"{out} is complete already")
+        return result
+    check_free(out, moved)
+    claim = Claim(partial, settings, "generation.json")
+    if result := (claim.found or {}).get("result"):
+        publish(partial, out)  # all that was left to do
+        return result
     flights = {"train": train_flights(request, config), "val": val_flights(request, config)}
     next(train_flights(request, config))  # refuse a configuration without train ports before anything is written
     targets = {"train": request.transitions, "val": request.val_transitions}
     least = {"train": 1, "val": len(config.ports)}
 
     _check_space(partial, config, targets, least)
-    _open_partial(partial, settings, announce)
+    if claim.found:
+        announce(f"resuming {partial}")
+    claim.note()
     try:
         summary = {}
         writers = {}
@@ -160,9 +166,10 @@ def generate(
             writer.finish(statistics)
             summary[split] = _summary(partial / split, writer)
         shutil.rmtree(spill)
-        (partial / "config.toml").write_text(config.to_toml(), encoding="utf-8")
-        (partial / "README.md").write_text(dataset_card(config, request, summary, parts), encoding="utf-8")
-        write_json({**settings, "policies": list(POLICY_NAMES), "result": summary}, partial / "generation.json")
+        texts = {"config.toml": config.to_toml(), "README.md": dataset_card(config, request, summary, parts)}
+        for name, text in texts.items():
+            write_atomically(partial / name, lambda file, text=text: file.write(text), text=True)
+        claim.note(policies=list(POLICY_NAMES), result=summary)
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise OSError(
@@ -180,27 +187,6 @@ def _parts(sensors: "Sequence[Sensor]") -> dict[str, Any]:
     from owm_envs.task.sensors import part_shapes
 
     return part_shapes(sensors)
-
-
-def _marker(partial: Path) -> dict:
-    """What a partial folder says of the run that makes it; {} where there is none."""
-    try:
-        return json.loads((partial / "generation.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-
-
-def _open_partial(partial: Path, settings: dict, announce) -> None:
-    if partial.exists() and any(partial.iterdir()):
-        begun = _marker(partial)
-        if {name: begun.get(name) for name in settings} != settings:
-            raise FileExistsError(
-                f"{partial} holds an unfinished run with other settings; delete it, or repeat that run to finish it"
-            )
-        announce(f"resuming {partial}")
-    else:
-        partial.mkdir(parents=True, exist_ok=True)
-        write_json(settings, partial / "generation.json")
 
 
 def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict) -> None:

@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import math
 import os
-import tempfile
 import warnings
 import zipfile
 import zlib
@@ -33,6 +32,7 @@ from owm_envs.field.eikonal import (
     solve_coarse,
     solve_fine,
 )
+from owm_envs.files import write_atomically
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
 
 __all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "field_rows", "load_field", "solve_field"]
@@ -284,17 +284,11 @@ def _read(path: Path, shapes: tuple) -> list[np.ndarray] | None:
 
 def _write(path: Path, fine: np.ndarray, coarse: np.ndarray) -> None:
     """Write a cache file in one step, so that no reader ever sees half of it; a read-only disk only warns."""
-    temporary = None
+    values = {"fine": np.asarray(fine, np.float32), "coarse": np.asarray(coarse, np.float32)}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            temporary = file.name
-            np.savez(file, fine=np.asarray(fine, np.float32), coarse=np.asarray(coarse, np.float32))
-        os.replace(temporary, path)
+        write_atomically(path, lambda file: np.savez(file, **values))
     except OSError as error:
         warnings.warn(f"the geodesic field could not be kept in {path.parent}: {error}", stacklevel=3)
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
 
 
 def load_field(

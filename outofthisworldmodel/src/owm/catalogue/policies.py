@@ -2,6 +2,7 @@
 
 import json
 import os
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -141,6 +142,18 @@ def checkpoint_folder(path: str) -> Path:
     folder = local_folder(path)
     inside = (folder / part for part in ("model", "policy"))
     return next((part for part in inside if (part / "config.json").is_file()), folder)
+
+
+def content_digest(source: str) -> str:
+    """Fingerprint of a policy: its name, or what its checkpoint holds."""
+    if source in NAMES:
+        return source
+    path = source.removeprefix(ONLINE_PREFIX)
+    folder = checkpoint_folder(path)
+    sha = sha256(source.removesuffix(path).encode())
+    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
+    return sha.hexdigest()[:16]
 
 
 def load_policy(

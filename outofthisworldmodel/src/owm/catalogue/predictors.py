@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.ekf import HELD_COMMANDS, RECORDED_COMMANDS, ErrorStateEKF
 from owm.baselines.exact import ExactDynamics
 from owm.baselines.least_squares import fit_least_squares
-from owm.catalogue.policies import load_model
+from owm.catalogue.policies import content_digest, load_model
 from owm.console import announce, bar
 from owm.data.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
 from owm.data.windows import Episodes
@@ -23,6 +24,7 @@ from owm.report.terminal import print_table
 from owm.scores.calibration import Calibration, calibration
 from owm.scores.prediction import PredictionError, prediction_error
 from owm.training.validation import PLANNER_STYLE
+from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.files import write_atomically
 
@@ -43,7 +45,7 @@ def evaluate_prediction(
     spread_windows: int = 48,
     samples: int = 199,
     seed: int = 0,
-    out: Path = Path("runs/evaluate"),
+    out: Path = Path("runs/prediction"),
 ) -> tuple[dict[str, list[PredictionError]], dict[str, list[Calibration]]]:
     """Score open-loop predictions of behaviour and of planner-style flights; print tables, write JSON and pictures.
 
@@ -59,10 +61,11 @@ def evaluate_prediction(
         out: folder for the files.
 
     Returns:
-        Errors and calibrations by "dataset, kind".
+        Errors and calibrations by "dataset, kind"; nothing where `out` holds them already.
 
     Raises:
         ValueError, FileNotFoundError: no such model, dataset or split, or episodes too short.
+        FolderTaken: `out` holds other scores or something else.
     """
     for option, value in (("windows", windows), ("spread_windows", spread_windows)):
         if value < 1:
@@ -70,6 +73,13 @@ def evaluate_prediction(
     errors: dict[str, list[PredictionError]] = {}
     spreads: dict[str, list[Calibration]] = {}
     files: list[Path] = []
+    asked = {"command": "owm evaluate prediction", "split": split, "windows": windows, "samples": samples, "seed": seed}
+    asked |= {"models": {name: name if name in NAMED else content_digest(name) for name in models}}
+    asked |= {"spread_windows": spread_windows, "data": [_told(path) for path in data]}
+    claim = Claim(out, asked)
+    if claim.found and claim.found["done"]:
+        announce(f"{claim.folder} holds these scores already")
+        data = ()
     for path in data:
         train, held_out = training_episodes(path, phases=1)
         if split is not None:
@@ -103,10 +113,18 @@ def evaluate_prediction(
             print_table(error_table(errors[group]), f"{group}: mean prediction error")
             if spreads[group]:
                 print_table(calibration_table(spreads[group]), f"{group}: samples against outcomes")
-            files = write_predictions(errors, spreads, Path(out))
+            claim.note(done=False)
+            files = write_predictions(errors, spreads, claim.folder)
+    claim.note(done=True)
     for file in files:
         print(file)
     return errors, spreads
+
+
+def _told(path: Path) -> str:
+    """Fingerprint of what a dataset says of itself, the statistics of its numbers among it."""
+    files = sorted(Path(path).rglob("*.json"))
+    return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
 
 def write_predictions(

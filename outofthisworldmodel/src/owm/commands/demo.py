@@ -76,20 +76,20 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
         scale: a key of `SCALES`, or one of your own.
         out: folder for everything.
         seed: decides everything random.
-        fresh: start over, even if a killed run could be continued.
+        fresh: start over, whatever run is there.
 
     Returns:
         Whether the demo kept its promises; they are in the report.
 
     Raises:
-        FileExistsError: `out` holds something else.
+        FolderTaken: `out` holds another demo or something else.
     """
     size = SCALES[scale] if isinstance(scale, str) else scale
     name = scale if isinstance(scale, str) else "custom"
-    out = Path(out)
     settings = {**asdict(size), "train": size.train.model_dump(), "planner": size.planner.model_dump()}
-    settings |= {"seed": seed, "version": __version__, "source": source_digest(), "jax": jax.__version__}
-    stages = Stages(out, settings, fresh=fresh)
+    code = f"{__version__}, jax {jax.__version__}, {source_digest()}"
+    stages = Stages(out, {"scale": name, "seed": seed, **settings}, code, fresh=fresh)
+    out = stages.folder
     stages.claim("corpus.partial", "train", "flights", "figures", "report.md", "report.html")
     config = corpus_config()
 
@@ -104,6 +104,8 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
     stages.run("prediction", ["prediction.npz"], lambda: _predict(out, config, size, seed))
     announce("[bold]4/5 flying[/]")
     flights = _fly(stages, out, size, seed)
+    if len(stages.resumed) == len(stages.seconds):
+        announce(f"an earlier run has done all of it in {out}; --fresh starts over")
     announce("[bold]5/5 reporting[/]")
 
     predictions = _load_predictions(out / "prediction.npz")
@@ -126,7 +128,6 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
     )
     write_results(flights, out / "flights")
     reports = write_demo_report(results)
-    stages.finish()
 
     print_table(docking_table(results.flights, ["world model"]), f"Docking, {len(results.flights[0])} flights each")
     for text, kept in checks.items():

@@ -240,7 +240,9 @@ def _run(results: Results) -> list[Block]:
     memory = f"{results.peak_memory / 1e9:.2f} GB" if results.peak_memory else "not measured on this system"
     packages = ("jax", "jaxlib", "numpy", "gymnasium", "equinox", "optax", "matplotlib")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
-    folder, size = results.folder.as_posix(), results.size
+    here, size = Path.cwd(), results.size
+    # As a reader would type it, not where the author's home lies.
+    folder = (results.folder.relative_to(here) if results.folder.is_relative_to(here) else results.folder).as_posix()
     presets = [f"--preset {name}" for name, preset in PRESETS.items() if preset == size.train]
     training = presets[0] if presets else f"--steps {size.train.steps}"
     recording = (

@@ -1,13 +1,14 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 
 import jax
 
 from owm.baselines.ppo.config import PPOConfig
-from owm.catalogue.policies import kind_of, load_policy
+from owm.catalogue.policies import content_digest, kind_of, load_policy
 from owm.console import announce, bar, console, flying
 from owm.data.recordings import corpus_facts, training_episodes
 from owm.planning.config import PlannerConfig
@@ -24,6 +25,7 @@ from owm.study.matrix import Matrix, Study, read_matrix
 from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
+from owm_envs.claims import Claim, digest
 from owm_envs.config import DockingConfig
 from owm_envs.files import output_folder, slug
 from owm_envs.station import PORT_NAMES
@@ -33,14 +35,14 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | Non
     """Train a world model on one or several datasets; `training_episodes` says what chooses the weights.
 
     Raises:
-        FileNotFoundError, ValueError: the dataset is missing or damaged, `out` holds another run, or `wandb` is named
-            but not installed.
+        FileNotFoundError, ValueError: the dataset is missing or damaged, or `wandb` is named but not installed.
+        FolderTaken: `out` holds another run or something else.
     """
     if wandb is not None and find_spec("wandb") is None:
         raise ValueError("--wandb needs Weights & Biases: pip install 'outofthisworldmodel[wandb]'")
     from owm.training.loop import train as run
 
-    out = output_folder(out)
+    Claim(out, {"config": config.model_dump(mode="json")})  # refused now, not after the data have been read
     announce(f"reading {', '.join(str(path) for path in data)} ...")
     episodes, val = training_episodes(data)
     announce(f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on")
@@ -53,8 +55,10 @@ def train_ppo(out: Path, config: PPOConfig) -> None:
     """Train the PPO baseline.
 
     Raises:
-        ValueError: Stable-Baselines3 is missing, or `out` holds another run.
+        ValueError: Stable-Baselines3 is missing.
+        FolderTaken: `out` holds another run or something else.
     """
+    out = output_folder(out)
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
@@ -89,10 +93,12 @@ def fly(
     shell: str = "100-225",
     noise: str = "cooperative",
     fidelity: str = "iss-numerical",
-    out: Path = Path("runs/fly"),
+    out: Path | None = None,
     plot: bool = False,
 ) -> Flights:
     """Fly a policy to one port, print a table, and write CSV, JSON and, if asked, a picture.
+
+    The same again prints the flights that are there.
 
     Args:
         policy: as `load_policy` takes it.
@@ -102,20 +108,30 @@ def fly(
         shell: a key of `SHELLS`.
         noise: a preset of sensor noise.
         fidelity: of the simulation.
-        out: folder for the files.
+        out: folder for the files; by default one of these flights' own below `runs/fly`.
         plot: draw the trajectories.
 
     Raises:
         ValueError, FileNotFoundError: an unknown policy, port, shell, noise preset or fidelity.
+        FolderTaken: `out` holds other flights or something else.
     """
     kind_of(policy)
-    out = output_folder(out)
     config = evaluation_config(shell, noise=noise, fidelity=fidelity)
     seeds, ports = trials([port], flights, seed)
-    flown = fly_named(policy, config, seeds, ports, seed=seed)
-    files = write_results({flown.policy: flown}, out)
+    asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
+    asked["environment"] = config.model_dump(mode="json")
+    claim = Claim(out or Path("runs/fly") / f"{slug(policy)}_{port}_{digest(asked)[:8]}", asked)
+    kept = claim.folder / "flights.npz"
+    if claim.found and kept.exists():
+        announce(f"{claim.folder} holds these flights already")
+        flown = Flights.load(kept)
+    else:
+        flown = fly_named(policy, config, seeds, ports, seed=seed)
+        claim.note()
+        flown.save(kept)
+    files = write_results({flown.policy: flown}, claim.folder)
     if plot:
-        picture = Path(out) / f"{slug(policy)}_{port}.png"
+        picture = claim.folder / f"{slug(policy)}_{port}.png"
         save_figure(trajectory_figure(flown), picture)
         files.append(picture)
     print_table(flight_table(flown), f"{flown.policy} to {port}")
@@ -178,12 +194,12 @@ def evaluate_docking(
         seed, shell, noise: as for `fly`.
         slots: most flights side by side.
         out: folder for the files.
-        fresh: fly again what `out` holds of other settings.
+        fresh: replace what `out` holds of other settings.
         processes: that fly, as for `evaluate_matrix`.
 
     Raises:
-        ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset, or `out` holds flights of other
-            settings.
+        ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset.
+        FolderTaken: as `run_matrix`.
     """
     if not policies:
         raise ValueError("name at least one policy")
@@ -229,17 +245,18 @@ def evaluate_matrix(
         table: TOML file, as `Matrix` describes it.
         out: folder for everything; a killed run goes on at the port where it was.
         slots: most flights side by side.
-        fresh: fly again what `out` holds of other settings.
+        fresh: replace what `out` holds of other settings.
         fly: or only report on the rows that are complete.
         processes: that fly, on equal shares of the cores.
         prediction: folder of `owm evaluate prediction`, for the report.
 
     Raises:
-        ValueError, FileNotFoundError: the table is missing or wrong, or `out` holds flights of other settings.
+        ValueError, FileNotFoundError: the table is missing or wrong.
+        FolderTaken: as `run_matrix`.
     """
     matrix, out = read_matrix(Path(table)), output_folder(out)
     command = f"owm evaluate matrix {Path(table).name} --slots {slots} --processes {processes}"
-    extra = [] if prediction is None else list(prediction_blocks(Path(prediction), out / "figures"))
+    extra = () if prediction is None else prediction_blocks(Path(prediction), out / "figures")
     files, flown = _run_and_report(matrix, out, command, extra, slots=slots, fresh=fresh, fly=fly, processes=processes)
     for study in matrix.studies:
         if rows := rows_flown(matrix, study, flown):
@@ -249,17 +266,20 @@ def evaluate_matrix(
 
 
 def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CONDITIONS, **options):
-    said = ""
-    with bar("flying", "flights") as update:
+    said, update = "", None
+    with ExitStack() as stack:
 
         def report(done: int, total: int, what: str, how_far: str) -> None:
-            nonlocal said
+            nonlocal said, update
+            if update is None:  # no bar beside a refusal
+                update = stack.enter_context(bar("flying", "flights"))
             if what != said:
                 said = what
                 announce(f"{done}/{total} flights; {what}")
             update(done, total, how_far)
 
-        flown = run_matrix(matrix, out, conditions=conditions, report=report, **options)
+        made_by = " ".join(command.split()[:3])
+        flown = run_matrix(matrix, out, conditions=conditions, report=report, command=made_by, **options)
     if not flown:
         raise ValueError(f"{out} holds no complete row to report on")
     return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command, extra=extra), flown

@@ -14,12 +14,15 @@ _PICTURES = {"prediction": "Mean error against horizon.", "calibration": "Covera
 
 
 def prediction_blocks(folder: Path, figures: Path) -> Iterator[Block]:
-    """Tables of errors and calibration, and the pictures, copied into `figures`.
+    """Tables of errors and calibration, and the pictures, copied into `figures` when their blocks are taken.
 
     Raises:
-        FileNotFoundError: the folder holds no `prediction.json`.
+        FileNotFoundError: the folder holds no `prediction.json`; at once.
     """
-    rows = json.loads((folder / "prediction.json").read_text(encoding="utf-8"))
+    return _blocks(json.loads((folder / "prediction.json").read_text(encoding="utf-8")), folder, figures)
+
+
+def _blocks(rows: Mapping[str, Any], folder: Path, figures: Path) -> Iterator[Block]:
     yield Heading("Prediction")
     yield Text(
         "Open loop under the true future actions, against the noiseless truth; means over windows of the same instants "

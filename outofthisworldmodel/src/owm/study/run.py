@@ -1,7 +1,6 @@
 """Fly a matrix into one folder, port by port, so that a killed run goes on where it was."""
 
-import json
-import shutil
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from owm import __version__
-from owm.catalogue.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, load_model, load_policy
+from owm.catalogue.policies import content_digest, load_model, load_policy
 from owm.planning.config import PlannerConfig
 from owm.scores.coasting import add_coasts
 from owm.scores.docking import fly_episodes, trials
@@ -22,7 +21,9 @@ from owm.stages import source_digest
 from owm.study.conditions import CONDITIONS, Condition
 from owm.study.matrix import PLANNERS, Matrix, Row, row_name, rows_of
 from owm.study.workers import fly_side_by_side, missing_flights, spell
-from owm_envs.files import write_atomically
+from owm_envs.claims import Claim
+from owm_envs.files import FolderTaken, output_folder, remove
+from owm_envs.station import PORT_NAMES
 from owm_envs.words import unknown
 
 
@@ -55,6 +56,8 @@ class Pace:
         return sum(s for s, _ in notes) / sum(n for _, n in notes)
 
 
+_ROWS = "flights/*/*/*/row.json"
+"""Where `Row.folder` puts what a row's flights depend on."""
 Report = Callable[[int, int, str, str], None]
 """Called with flights done, flights in all, what is flying, and how far it is."""
 
@@ -68,6 +71,7 @@ def run_matrix(
     fresh: bool = False,
     fly: bool = True,
     processes: int = 1,
+    command: str = "run_matrix",
     report: Report = lambda *_: None,
 ) -> dict[tuple[str, str | None, str], list[Flights]]:
     """Fly what has not been flown, port by port, and read all of it.
@@ -77,16 +81,19 @@ def run_matrix(
         out: folder; the flights of each row and port are kept below `flights` as soon as they have landed.
         conditions: by name.
         slots: most flights side by side; a port's flights all fly at once if they are no more.
-        fresh: fly again what was flown with other settings, instead of refusing.
+        fresh: replace flights of other settings, and those that are not asked for, instead of refusing.
         fly: or only read the rows that are complete.
         processes: that fly, a row each at a time, on equal shares of the cores.
+        command: what the folder is one of.
         report: progress.
 
     Returns:
         Flights by (label, planner, condition), one entry a trained seed.
 
     Raises:
-        ValueError: a condition or policy is unknown, or the folder holds flights of other settings.
+        ValueError: a condition or policy is unknown.
+        FolderTaken: the folder holds something else, flights of other settings, or some that are not asked for: a
+            report of this matrix would leave them out.
         FileNotFoundError: there is no policy at a path.
         RuntimeError: one of several processes has died.
     """
@@ -97,11 +104,15 @@ def run_matrix(
     for row in rows:
         if row.condition not in conditions:
             raise ValueError(unknown("condition", row.condition, conditions))
-    stores = [Store(out, row, conditions[row.condition], matrix, fresh=fresh) for row in rows]
+    flown_before = any(output_folder(out).glob(_ROWS))  # perhaps by a version that did not claim the folder
+    claim = Claim(out, {"command": command}, besides=os.listdir(output_folder(out)) if flown_before else ())
+    stores = [Store(claim.folder, row, conditions[row.condition], matrix, fresh=fresh) for row in rows]
+    _settle_rest(claim.folder, stores, fresh)
     to_fly = [store for store in stores if fly and store.missing()]
     planned = {store.row.source: store.condition.told() for store in to_fly if store.row.planner}
     for source, told in planned.items():
         load_model(source, told)  # so that one that cannot be read is told of now, not after an hour of flying
+    claim.note()
     total = sum(row.flights for row in rows) * len(matrix.ports)
     if processes > 1 and to_fly:
         fly_side_by_side(to_fly, slots, processes, lambda left, *what: report(total - left, total, *what))
@@ -114,6 +125,21 @@ def run_matrix(
     done = total - missing_flights(stores)
     report(done, total, "all flown" if done == total else "the rest has not been flown", "")
     return flown
+
+
+def _settle_rest(out: Path, stores: list["Store"], fresh: bool) -> None:
+    """Refuse flights in the folder that no store asks for, or remove them."""
+    asked = {store.folder / f"{port}.npz" for store in stores for port in store.matrix.ports}
+    asked |= {store.claim.file for store in stores}
+    rest = {file for row in out.glob(_ROWS) for file in (row, *row.parent.glob("[!.]*.npz"))} - asked
+    if rest and not fresh:
+        one = min(rest, key=lambda file: (file.suffix != ".npz", file)).relative_to(out / "flights").with_suffix("")
+        raise FolderTaken(
+            f"{out} holds flights that are not asked for now ({one}): choose another folder (--out), ask for them as "
+            "well, or have them removed by --fresh"
+        )
+    for file in rest:
+        remove(file)
 
 
 def _fly_in_turn(stores: list["Store"], to_fly: list["Store"], slots: int, total: int, report: Report) -> None:
@@ -137,38 +163,29 @@ def _fly_in_turn(stores: list["Store"], to_fly: list["Store"], slots: int, total
 
 
 class Store:
-    """The flights of one row on disk, a file a port, with a fingerprint of all that they depend on.
+    """The flights of one row on disk, a file a port, and all that they depend on.
 
     Raises:
-        ValueError: the folder holds flights of other settings.
+        FolderTaken: the folder holds flights of other settings.
     """
 
     def __init__(self, out: Path, row: Row, condition: Condition, matrix: Matrix, *, fresh: bool = False):
         self.row, self.condition, self.matrix = row, condition, matrix
-        self.folder = out / "flights" / row.folder
         self.policy: Any = None
-        settings = self._settings()
-        digest = sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
-        self.facts = {"fingerprint": digest, "settings": settings, "version": __version__, "ports": {}}
-        path = self.folder / "row.json"
-        if not path.is_file():
-            return
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if found["fingerprint"] == digest:
-            self.facts = found
-        elif fresh:
-            shutil.rmtree(self.folder)
-        else:
-            changed = [k for k in settings if settings[k] != found["settings"].get(k)]
-            raise ValueError(
-                f"{self.folder} holds flights with another {', '.join(changed)}: they cannot be mixed; "
-                "choose another --out, or fly again with --fresh"
-            )
+        self.claim = Claim(
+            out / "flights" / row.folder,
+            {"settings": self._settings()},
+            "row.json",
+            made=[f"{port}.npz" for port in PORT_NAMES],
+            replace=fresh,
+            instead="or fly again with --fresh",
+        )
+        self.folder = self.claim.folder
 
     @property
     def seconds(self) -> dict[str, float]:
         """Wall time of each port flown."""
-        return {port: facts["seconds"] for port, facts in self.facts["ports"].items()}
+        return {port: facts["seconds"] for port, facts in self._ports().items()}
 
     def missing(self) -> list[str]:
         """Ports not flown yet."""
@@ -182,7 +199,7 @@ class Store:
             planner = PlannerConfig(**PLANNERS[row.planner]) if row.planner else None
             chart = _field(self.condition.map)
             self.policy = load_policy(row.source, self.condition.told(), slots, matrix.seed, planner, chart)
-        self._keep_facts()
+        self.claim.note(version=__version__, ports=self._ports())
         seeds, ports = trials([port], row.flights, matrix.seed)
         flown = fly_episodes(
             self.policy, self.condition.flown(), seeds, ports, progress, slots=slots, name=row_name(*row.key)
@@ -190,8 +207,8 @@ class Store:
         flown = add_coasts(flown, _field(None))
         flown.save(self.folder / f"{port}.npz")
         seconds = time.perf_counter() - began
-        self.facts["ports"][port] = {"seconds": round(seconds, 2), "source": source_digest()[:16]}
-        self._keep_facts()
+        facts = {"seconds": round(seconds, 2), "source": source_digest()[:16]}
+        self.claim.note(ports={**self._ports(), port: facts})
         return seconds
 
     def load(self) -> Flights:
@@ -199,8 +216,8 @@ class Store:
         parts = [Flights.load(self.folder / f"{port}.npz") for port in self.matrix.ports]
         return replace(join(parts), policy=row_name(*self.row.key))
 
-    def _keep_facts(self) -> None:
-        write_atomically(self.folder / "row.json", lambda file: json.dump(self.facts, file, indent=1), text=True)
+    def _ports(self) -> dict[str, dict[str, Any]]:
+        return (self.claim.found or {}).get("ports", {})
 
     def _settings(self) -> dict[str, Any]:
         boxes = self.condition.map_boxes()
@@ -213,18 +230,6 @@ class Store:
             "flights": self.row.flights,
             "seed": self.matrix.seed,
         }
-
-
-def content_digest(source: str) -> str:
-    """Fingerprint of a policy: its name, or what its checkpoint holds."""
-    if source in NAMES:
-        return source
-    path = source.removeprefix(ONLINE_PREFIX)
-    folder = checkpoint_folder(path)
-    sha = sha256(source.removesuffix(path).encode())
-    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-        sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
-    return sha.hexdigest()[:16]
 
 
 @lru_cache(maxsize=2)

@@ -25,6 +25,7 @@ from owm.training.config import TrainConfig
 from owm.training.metrics import Metrics, View
 from owm.training.step import TrainState, batch_mesh, initial_state, put, train_chunk
 from owm.training.validation import validate, validation_sets
+from owm_envs.claims import Claim
 
 
 @dataclass(frozen=True)
@@ -75,20 +76,21 @@ def train(
         wandb: project of Weights & Biases to send the metrics to as well.
 
     Raises:
-        ValueError: if the data doesn't fit the configuration, `out_dir` holds another run or a damaged one, or batch,
-            memory and devices don't go together.
+        ValueError: if the data doesn't fit the configuration, or batch, memory and devices don't go together.
+        FolderTaken: `out_dir` holds another run or something else.
+        CheckpointError: its run is damaged.
         FloatingPointError: the loss diverged.
     """
-    out = Path(out_dir)
     _check_data(config, episodes_train, episodes_val)
     fingerprint = {
         "config": config.model_dump(mode="json"),
         "train": episodes_train.digest(),
         "val": episodes_val.digest(),
     }
+    claim = Claim(out_dir, fingerprint, made=rundir.PARTS, replace=not resume)
     if not resume:
-        rundir.clear(out)
-    found = rundir.read_claim(out, fingerprint)
+        claim.start_over()
+    out, found = claim.folder, claim.found and claim.found["settled"]
     metrics_file = out / "metrics.jsonl"
     if found and (out / "model").exists():
         model = read_checkpoint(out / "model", partial(LearnedWorldModel.from_contents, expect=config.model))
@@ -126,7 +128,7 @@ def train(
         if batch % devices:
             raise ValueError(f"batch must be a multiple of devices={devices}, got {batch}")
         found = {"batch": batch, "devices": devices}
-        rundir.write_claim(out, fingerprint, found)
+        claim.note(settled=found)
     config = config.settled(windows, **found)
     said = {
         **(about or {}),

@@ -77,7 +77,7 @@ def _truncate(file: Path, step: int) -> None:
                 kept.append(text)
         except (json.JSONDecodeError, KeyError):
             break  # a line cut short by the kill
-    file.write_text("".join(text + "\n" for text in kept), encoding="utf-8")
+    write_atomically(file, lambda stream: stream.writelines(text + "\n" for text in kept), text=True)
 
 
 class View:

@@ -7,8 +7,6 @@ model/            the weights with the best validation score, once the run is co
 metrics.jsonl, tensorboard/
 """
 
-import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -20,48 +18,10 @@ import orbax.checkpoint as ocp
 from owm.checkpoint import CheckpointError, save_world_model
 from owm.model.world_model import LearnedWorldModel
 from owm.training.step import TrainState
-from owm_envs.files import write_atomically
+from owm_envs.files import remove
 
-PARTS = ("state", "checkpoints", "model", "tensorboard", "wandb", "run.json", "metrics.jsonl")
-
-
-def clear(out: Path) -> None:
-    """Remove a run."""
-    for part in PARTS:
-        if (out / part).is_dir():
-            shutil.rmtree(out / part)
-        else:
-            (out / part).unlink(missing_ok=True)
-
-
-def read_claim(out: Path, fingerprint: dict[str, Any]) -> dict[str, Any] | None:
-    """Return what an earlier start of this run settled; None if the folder holds no run.
-
-    Raises:
-        ValueError: it holds another run.
-        CheckpointError: it holds a damaged one.
-    """
-    file = out / "run.json"
-    if not file.exists():
-        if (out / "state").exists() or (out / "model").exists():
-            raise CheckpointError(f"{out} holds a state or model without run.json: delete it or choose another folder")
-        return None
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-        parts = [part for part in fingerprint if found.get(part) != fingerprint[part]]
-        settled = found["settled"]
-        settled = {name: int(settled[name]) for name in ("batch", "devices")}
-    except (ValueError, AttributeError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{file} is damaged ({error}): delete {out} or choose another folder") from error
-    if parts:
-        raise ValueError(f"{out} holds a run that differs in {', '.join(parts)}: delete it or choose another folder")
-    return settled
-
-
-def write_claim(out: Path, fingerprint: dict[str, Any], settled: dict[str, Any]) -> None:
-    """Mark the folder as this run's."""
-    content = json.dumps(fingerprint | {"settled": settled}, indent=1) + "\n"
-    write_atomically(out / "run.json", lambda file: file.write(content), text=True)
+PARTS = ("state", "checkpoints", "model", "tensorboard", "wandb", "metrics.jsonl")
+"""What a run makes beside `run.json`."""
 
 
 def state_manager(out: Path) -> ocp.CheckpointManager:
@@ -98,4 +58,4 @@ def keep_checkpoint(out: Path, model: LearnedWorldModel, step: int, keep: int, a
         save_world_model(model, folder / str(step), about=about)
     saved = sorted((path for path in folder.glob("*") if path.name.isdigit()), key=lambda path: int(path.name))
     for path in saved[: max(len(saved) - keep, 0)]:
-        shutil.rmtree(path)
+        remove(path)

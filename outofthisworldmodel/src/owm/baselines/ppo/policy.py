@@ -15,11 +15,10 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from owm.baselines.ppo.features import FEATURES, with_field
-from owm.checkpoint import CheckpointError
+from owm.checkpoint import CheckpointError, write_checkpoint
 from owm_envs.config import DockingConfig
 from owm_envs.env import DockingEnv
 from owm_envs.field import GeodesicField
-from owm_envs.files import replace_folder
 from owm_envs.policies import SlotPolicy, Slots
 from owm_envs.task.sensors import STATE
 
@@ -41,7 +40,7 @@ def save_policy(folder: Path, weights: dict[str, np.ndarray], about: dict[str, A
     """
     data = save_tensors({name: np.ascontiguousarray(array, np.float32) for name, array in weights.items()})
     header = {"format": FORMAT, "kind": "ppo", "sha256": sha256(data).hexdigest(), "about": about}
-    replace_folder(folder, {"weights.safetensors": data, "config.json": (json.dumps(header, indent=1) + "\n").encode()})
+    write_checkpoint(folder, header, {"weights.safetensors": data})
 
 
 class HeldActions(NamedTuple):

@@ -1,9 +1,8 @@
 """The PPO baseline: Stable-Baselines3 on the native vector environment, resumable, the best policy by validation."""
 
 import csv
+import io
 import json
-import os
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,8 @@ from owm.baselines.ppo.config import PPOConfig
 from owm.baselines.ppo.policy import save_policy
 from owm.baselines.ppo.vec_env import make_env
 from owm.training.metrics import Metrics
-from owm_envs.files import write_atomically
+from owm_envs.claims import Claim
+from owm_envs.files import remove, replace_folder, write_atomically
 from owm_envs.station import TRAIN_PORTS
 
 _VALIDATION_SEED = 2**41
@@ -44,10 +44,12 @@ def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> d
         The last line of the metrics.
 
     Raises:
-        ValueError: `out` holds a run of another configuration.
+        FolderTaken: `out` holds a run of another configuration, or something else.
     """
     console = Console() if console is None else console
-    _claim(config, out)
+    claim = Claim(out, config.model_dump(mode="json", exclude={"steps"}))
+    claim.note()
+    out = claim.folder
     torch.set_num_threads(1)  # a small network gains nothing from more, and they would disturb the simulation
     saves = sorted((path for path in (out / "state").glob("*") if path.name.isdigit()), key=lambda path: int(path.name))
     step = int(saves[-1].name) if saves else 0
@@ -64,7 +66,8 @@ def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> d
     with Metrics(out, step or -1) as metrics:
         lines = _lines(metrics.file)
         spent = lines[-1]["seconds"] if lines else 0.0
-        best = max((line["validation/return"] for line in lines if line["step"]), default=-np.inf)
+        exported = (out / "policy").exists()  # or it was killed while it exchanged one for a better
+        best = max((line["validation/return"] for line in lines if line["step"] and exported), default=-np.inf)
         if not lines:
             lines.append({"step": 0, "seconds": 0.0, **_validate(model, trial)})
             metrics.write(lines[-1])
@@ -161,15 +164,14 @@ def _export(model: PPO, venv: VecNormalize, folder: Path, config: PPOConfig, lin
 
 def _save(model: PPO, venv: VecNormalize, folder: Path) -> None:
     """Keep what the run goes on from; the folder named by the step is whole or not there."""
-    fresh, done = folder / "writing", folder / str(model.num_timesteps)
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir(parents=True)
-    model.save(fresh / "model.zip")
-    (fresh / "statistics.json").write_text(json.dumps(_statistics(venv)), encoding="utf-8")
-    os.replace(fresh, done)
+    file, done = io.BytesIO(), folder / str(model.num_timesteps)
+    model.save(file)
+    replace_folder(
+        done, {"model.zip": file.getvalue(), "statistics.json": json.dumps(_statistics(venv)).encode("ascii")}
+    )
     for other in folder.iterdir():
         if other != done:
-            shutil.rmtree(other)
+            remove(other)
 
 
 def _statistics(venv: VecNormalize) -> dict[str, Any]:
@@ -185,21 +187,6 @@ def _restore_statistics(venv: VecNormalize, stored: dict[str, Any]) -> None:
         statistics.mean, statistics.var = np.asarray(part["mean"]), np.asarray(part["var"])
         statistics.count = part["count"]
         setattr(venv, name, statistics)
-
-
-def _claim(config: PPOConfig, out: Path) -> None:
-    """Mark the folder as this run's, or refuse it; `steps` may change."""
-    mine = config.model_dump(mode="json", exclude={"steps"})
-    file = out / "run.json"
-    if file.exists():
-        found = json.loads(file.read_text(encoding="utf-8"))
-        parts = [name for name in {**mine, **found} if mine.get(name) != found.get(name)]
-        if parts:
-            raise ValueError(f"{out} holds a run that differs in {', '.join(parts)}: choose another folder")
-        return
-    if out.exists() and any(out.iterdir()):
-        raise ValueError(f"{out} holds something else: choose another folder")
-    write_atomically(file, lambda stream: json.dump(mine, stream, indent=1), text=True)
 
 
 def _lines(file: Path) -> list[dict[str, Any]]:
