@@ -1,6 +1,7 @@
 """What `owm demo` writes about itself."""
 
 import importlib.metadata
+import itertools
 import os
 import platform
 from dataclasses import dataclass
@@ -69,7 +70,7 @@ def write_demo_report(results: Results) -> list[Path]:
     figures = results.folder / "figures"
     pictures = {
         "tolerance": tolerance_figure(results.flights),
-        "loss": loss_figure(*_curves(results.metrics)),
+        "loss": loss_figure(*_curves(results.metrics), _marks(results)),
         "prediction": prediction_figure(results.predictions),
     }
     pictures |= {f"trajectories_{slug(each.policy)}": trajectory_figure(each) for each in results.flights}
@@ -129,7 +130,10 @@ def _docking(results: Results, figures: Path) -> list[Block]:
             "decisions, 360 s."
         ),
         docking_table(results.flights, ["world model"]),
-        Picture(figures / "tolerance.png", "Flights that met each tolerance with no collision."),
+        Picture(
+            figures / "tolerance.png",
+            "Flights with no collision by their errors at closest approach; dashed: the bounds of strict success.",
+        ),
         "### By port",
         port_table(results.flights),
         "### What each row was given",
@@ -200,7 +204,10 @@ def _training(results: Results, figures: Path) -> list[Block]:
             else "**No trained weights scored better on the validation episodes than the untrained model: the rows "
             "of the world model are those of least squares.**"
         ),
-        Picture(figures / "loss.png", "Training losses; validation errors 16 s ahead against the measurements."),
+        Picture(
+            figures / "loss.png",
+            "Training losses, and where a harder one began; validation errors 16 s ahead against the measurements.",
+        ),
     ]
 
 
@@ -209,7 +216,7 @@ def _trajectories(results: Results, figures: Path) -> list[Block]:
         "## Trajectories",
         (
             "Grey: the keep-out boxes. Circles: starts. Dots: ends. Blue: hold poses and corridors. Crosses: "
-            "first contact with the hull."
+            "first contact with the hull. Of several flights, the upper row shows the whole way."
         ),
     ]
     for each in results.flights:
@@ -290,6 +297,18 @@ def _curves(metrics: list[dict]):
         label: ([line["step"] for line in scored], [line[key] for line in scored]) for key, label in names.items()
     }
     return training, validation
+
+
+def _marks(results: Results) -> dict[str, float]:
+    """Steps from which on another loss is minimised: longer rollouts, or from predictions alone."""
+    trained = [line for line in results.metrics if "rollout" in line]
+    marks = {
+        f"rollouts of {after['rollout']} steps": after["step"]
+        for before, after in itertools.pairwise(trained)
+        if before["rollout"] != after["rollout"]
+    }
+    config = results.size.train
+    return marks | ({"teacher forcing ends": config.teacher * config.steps} if config.teacher else {})
 
 
 def _counts(counts: dict[str, int]) -> str:

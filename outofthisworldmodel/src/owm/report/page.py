@@ -153,7 +153,7 @@ th { text-align: left; font-weight: 600; color: var(--faint); background: var(--
 th, td { padding: .42rem .65rem; }
 td { vertical-align: top; border-top: 1px solid var(--line); }
 td:first-child, td[style] { white-space: nowrap; }
-td:last-child:not([style]) { min-width: 20rem; }
+td:last-child:not([style]) { min-width: 14rem; }
 tr:has(td:first-child > strong) td { background: color-mix(in srgb, var(--accent) 9%, transparent); }
 """.strip()
 

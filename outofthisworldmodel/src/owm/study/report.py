@@ -182,7 +182,10 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
 
 def _figures(drawn: Sequence[Flights], figures: Path, name: str) -> Iterator[Block]:
     pictures = {
-        "tolerance": (tolerance_figure(drawn), "Flights that met each tolerance with no collision."),
+        "tolerance": (
+            tolerance_figure(drawn),
+            "Flights with no collision by their errors at closest approach; dashed: the bounds of strict success.",
+        ),
         "ports": (
             port_figure(drawn, {"paper: planner": PLANNER_BY_PORT, "paper: PPO": PPO_BY_PORT}),
             f"Flights within 1 m with no collision by port; bars: 95 % Wilson intervals. {NOT_ALIKE}",
