@@ -89,6 +89,8 @@ def test_an_extra_obstacle_is_red_and_ports_and_numbers_show():
     assert changed(draw(np.full(13, np.nan), port=port_index("zvezda_aft")), still).any()
     panel = changed(draw(np.full(13, np.nan), lines=["time  12.3 s"]), still)
     assert panel[:170].sum() == 0 and panel[170:, 330:].sum() > 20
+    filled, _ = np.nonzero(changed(draw(np.full(13, np.nan), lines=["time  12.3 s"] * 5), still))
+    assert 0.9 * 270 < filled.max() < 0.98 * 270
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from owm.commands.demo import SCALES, check
-from owm.commands.demo_report import Results, _summary, write_demo_report
+from owm.commands.demo_report import Results, _marks, _summary, write_demo_report
 from owm.scores.flights import Flights
 from owm.scores.prediction import PredictionError
 
@@ -59,9 +59,10 @@ def results(folder, rows):
         training={"parameters": 12, "best_step": 0, "steps": 9, "episodes": 3, "val_episodes": 2},
         metrics=[
             {"step": 0, "score": 2.0, "behaviour/position_m": 1.0, "behaviour/attitude_deg": 1.0},
-            {"step": 50, "flow_loss": 0.5, "decode_loss": 0.1},
+            {"step": 50, "rollout": 16, "flow_loss": 0.5, "decode_loss": 0.1},
             {
                 "step": 100,
+                "rollout": 32,
                 "flow_loss": 0.4,
                 "decode_loss": 0.1,
                 "score": 1,
@@ -105,7 +106,12 @@ def test_one_quantity_predicted_worse_at_one_horizon_breaks_the_promise(quantity
 
 def test_the_claim_for_the_network_is_made_where_it_earns_it(tmp_path):
     rows = [flights("world model"), flights("least-squares"), flights("dock-geodesic", (5,))]
-    assert "the map of the hull, not the network" not in _summary(results(tmp_path, rows))[0].text
+    assert "the map of the hull, not the network" not in _summary(results(tmp_path, rows))[0]
+
+
+def test_steps_at_which_training_becomes_harder_are_marked(tmp_path):
+    marks = _marks(results(tmp_path, [flights("world model")]))
+    assert marks == {"rollouts of 32 steps": 100, "teacher forcing ends": 100.0}
 
 
 def test_the_report_tells_what_was_given_what_failed_and_how_it_was_run(tmp_path):
@@ -120,6 +126,7 @@ def test_the_report_tells_what_was_given_what_failed_and_how_it_was_run(tmp_path
     for told in ("hull map", "geodesic field", "53 %", "H100", "1.50 GB", "earlier run", "owm train"):
         assert told in markdown, told
     assert "--out RUN --preset ci --seed 3" in markdown and "--seed 4 --out DATA2" in markdown
+    assert "safe coasts" not in markdown and "Safe coasts" not in markdown, "nobody looked"
     assert "bias corrector" in markdown and "Held out from training only" in markdown
     pictures = len(list((tmp_path / "figures").glob("*.png")))
     assert pictures == 3 + len(rows) and page.count("data:image/png") == pictures

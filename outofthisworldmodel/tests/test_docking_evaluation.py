@@ -28,7 +28,7 @@ from owm.scores.statistics import rate
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy, make_policy
-from owm_envs.station import PORT_NAMES, goal_poses
+from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
 
 PORTS = ["harmony_nadir", "unity_nadir"]
 # A box about both goals: every flight touches it, none may end by it.
@@ -306,6 +306,27 @@ def test_results_tables_and_pictures(docked, tmp_path):
     for name in "abc":
         assert (tmp_path / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert not list(tmp_path.glob(".*"))
+
+
+def test_trajectories_show_every_start_and_the_station(docked):
+    figure = trajectory_figure(docked)
+    starts, hull = docked.trajectory[:, 0, :3], hull_boxes()
+    whole, close = figure.axes[:3], figure.axes[3:6]
+    for axes, closer, (i, j) in zip(whole, close, ((1, 2), (0, 2), (1, 0))):
+        assert all(axes.viewLim.contains(*start[[i, j]]) for start in starts)
+        assert all(closer.viewLim.contains(*corner[[i, j]]) for corner in hull.reshape(-1, 3))
+        assert closer.viewLim.width < 1.2 * np.ptp(hull.reshape(-1, 3), axis=0).max()
+    # One flight needs no second look.
+    assert len(trajectory_figure(docked.select([0])).axes) == len(figure.axes) - 3
+
+
+def test_tolerances_are_shown_where_flights_differ(docked):
+    free = replace(docked, collided=np.array([False, False, False, True]))
+    for axes, name in zip(tolerance_figure([free]).axes, ("distance", "speed", "attitude", "rate")):
+        steps = axes.lines[0]
+        errors = np.sort(getattr(free, f"closest_{name}")[:3]) * (np.degrees(1) if name in ("attitude", "rate") else 1)
+        np.testing.assert_allclose(steps.get_xdata()[1:-1], errors)
+        assert steps.get_ydata().tolist() == [0, 25, 50, 75, 75]
 
 
 def test_hull_distance_agrees_with_the_simulation(docked):

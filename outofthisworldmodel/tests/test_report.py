@@ -2,7 +2,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from owm.report.page import Bullets, Code, Heading, Picture, Table, Text, write_report
+from owm.report.page import Picture, Table, bullets, code, to_html, write_report
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de0000000c4944415408d763f8cfc0"
@@ -42,11 +42,11 @@ def written(tmp_path):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "a.png").write_bytes(PNG)
     blocks = [
-        Text("Speeds < 1 m/s & **bold** `a<b`"),
-        Heading("Docking & more"),
-        Table(["policy", "x|y"], [["dock", "1"], ["pd", "2"]], "A caption", [1]),
-        Bullets(["first", "second `code`"]),
-        Code("owm demo <x>"),
+        "Speeds < 1 m/s & **bold** `a<b`",
+        "## Docking & more",
+        Table(["policy", "x|y"], [["<b>dock</b>", "1"], ["pd", "2"]], "A caption", [1]),
+        bullets(["first", "second `code`"]),
+        code("owm demo <x>"),
         Picture(tmp_path / "figures" / "a.png", 'A "picture"'),
     ]
     markdown, html = write_report("Title <1>", blocks, tmp_path)
@@ -60,6 +60,7 @@ def test_the_page_nests_escapes_and_needs_nothing_else(written):
     assert not page.open and not page.fetched
     text = "".join(page.text)
     assert "Speeds < 1 m/s & bold a<b" in text and "Title <1>" in text and "owm demo <x>" in text
+    assert "<b>dock</b>" in text and "x|y" in text and '<td style="text-align:right"><strong>2</strong></td>' in html
     assert len(page.images) == 1 and page.images[0].startswith("data:image/png;base64,iVBOR")
     assert page.links == ["#docking-more"] and "docking-more" in page.ids
     assert "http" not in html
@@ -68,9 +69,26 @@ def test_the_page_nests_escapes_and_needs_nothing_else(written):
 def test_the_markdown_has_the_same_and_links_its_pictures(written):
     markdown, _, folder = written
     assert markdown.startswith("# Title <1>\n\nSpeeds")
-    assert "| policy | x\\|y |\n| --- | --: |\n| dock | 1 |\n| **pd** | **2** |\n\n*A caption*" in markdown
+    assert "| policy | x\\|y |\n| --- | --: |\n| <b>dock</b> | 1 |\n| **pd** | **2** |\n\n*A caption*" in markdown
     assert "(figures/a.png)" in markdown and (folder / "figures/a.png").is_file()
     assert "```\nowm demo <x>\n```" in markdown and "- first\n- second" in markdown
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["<script>alert(1)</script>", "![far](https://example.org/a.png)", "[go](javascript:alert(1))", "a <img src=x> b"],
+)
+def test_what_users_write_runs_and_fetches_nothing(text):
+    page = Page()
+    page.feed(to_html(f"# {text}\n\n{text}\n\n## {text}\n\n{Table(['policy'], [[text]], text).to_markdown()}\n", {}))
+    assert not page.open and not page.fetched and not page.images
+    assert all(link.startswith("#") for link in page.links)
+
+
+def test_a_column_that_says_nothing_is_left_out():
+    table = Table(["policy", "Δv m/s", "time s", ""], [["pd", "–", "–", ""], ["dock", "–", "9", ""]], strong=[1])
+    assert table.to_markdown() == "| policy | time s |\n| --- | --: |\n| pd | – |\n| **dock** | **9** |"
+    assert Table(["a", "b"], []).columns == ["a", "b"]
 
 
 def test_a_missing_picture_leaves_no_report_behind(tmp_path):

@@ -57,6 +57,9 @@ def test_intervals_over_seeds_hold_what_seeds_and_flights_leave_open():
     # Seeds that agree in every flight are worth the flights of one.
     alike = seeded_rate([good, good, good])
     assert (alike["low"], alike["high"]) == wilson(200, 200) and alike["total"] == 600
+    # Seeds that differ by one flight: the mean count is no whole one and is rounded outwards.
+    near = seeded_rate([one, one, np.arange(200) < 151], draws=2)
+    assert near["low"] <= wilson(150, 200)[0] and near["high"] >= wilson(151, 200)[1]
     # Seeds that vary no more than chance are wider than Wilson's of all flights, and hold the mean.
     rng = np.random.default_rng(0)
     some = seeded_rate([rng.random(200) < 0.7 for _ in range(3)])

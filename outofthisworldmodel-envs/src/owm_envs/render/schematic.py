@@ -29,6 +29,7 @@ _LIGHT = np.array([-0.35, -0.62, 0.70])
 _ZOOMS = (56.0, 84.0, 126.0, 190.0, 285.0, 430.0, 800.0)  # half of a view's height [m]
 _CENTRE = np.array([0.0, 2.0, 1.0])
 _SPHERE_RADIUS = 2.25
+_INSET = (0.27, 0.345)  # width and height of a small view, of the picture's; five lines of text fit below two
 
 
 class _View(NamedTuple):
@@ -152,8 +153,7 @@ def _scene(hull: bytes, size: tuple[int, int], half_height: float, inset_half_he
 
     width, height = size
     boxes = np.frombuffer(hull, np.float64).reshape(-1, 2, 3)
-    side = round(0.27 * width)
-    inset = round(0.285 * height)
+    side, inset = (round(part * whole) for part, whole in zip(_INSET, size))
     gap = max(round(0.012 * width), 2)
     left = width - side - gap
     unit = min(width / 960.0, height / 540.0)
@@ -341,7 +341,7 @@ def _compose(boxes, goals, vehicles: Sequence[Vehicle], size: tuple[int, int]) -
     drawn = [vehicle for vehicle in vehicles if np.isfinite(vehicle.state).all()]
     for vehicle in drawn:
         main_zoom = _zoom(vehicle.state[:3], (_ISOMETRIC,), aspect, main_zoom)
-        inset_zoom = _zoom(vehicle.state[:3], (_TOP, _SIDE), 1.6, inset_zoom)
+        inset_zoom = _zoom(vehicle.state[:3], (_TOP, _SIDE), _INSET[0] * size[0] / (_INSET[1] * size[1]), inset_zoom)
     scene = _scene(hull, size, main_zoom, inset_zoom)
     image = scene.image.copy()
     known = len(goals) == len(PORTS)

@@ -1,6 +1,7 @@
 """What `owm demo` writes about itself."""
 
 import importlib.metadata
+import itertools
 import os
 import platform
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Any
 
 from owm import __version__
 from owm.catalogue.policies import GIVEN, GIVEN_COLUMNS
-from owm.report.page import Block, Bullets, Code, Heading, Picture, Table, Text, write_report
+from owm.report.page import Block, Picture, Table, bullets, code, write_report
 from owm.report.paper import DIFFERENCES, paper_table
 from owm.report.plots import (
     loss_figure,
@@ -69,7 +70,7 @@ def write_demo_report(results: Results) -> list[Path]:
     figures = results.folder / "figures"
     pictures = {
         "tolerance": tolerance_figure(results.flights),
-        "loss": loss_figure(*_curves(results.metrics)),
+        "loss": loss_figure(*_curves(results.metrics), _marks(results)),
         "prediction": prediction_figure(results.predictions),
     }
     pictures |= {f"trajectories_{slug(each.policy)}": trajectory_figure(each) for each in results.flights}
@@ -82,7 +83,7 @@ def write_demo_report(results: Results) -> list[Path]:
         *_prediction(results, figures),
         *_training(results, figures),
         *_trajectories(results, figures),
-        Heading("All definitions of success"),
+        "## All definitions of success",
         definitions_table(results.flights),
         *_paper(results),
         *_run(results),
@@ -108,9 +109,9 @@ def _summary(results: Results) -> list[Block]:
     if not results.size.must_dock:
         kept[-1] += " (Not a promise at this scale: the model is trained for seconds.)"
     return [
-        Text(text),
-        Text(f"Scale `{results.scale}`, seed {results.seed}. What this demo promises:"),
-        Bullets(kept),
+        text,
+        f"Scale `{results.scale}`, seed {results.seed}. What this demo promises:",
+        bullets(kept),
     ]
 
 
@@ -119,21 +120,24 @@ def _docking(results: Results, figures: Path) -> list[Block]:
     rows = [GIVEN["world model" if name == "pretrained" else name] for name in names]
     if results.size.planner_style:
         rows = [row._replace(data="corpus with planner-like flights") if row.data == "corpus" else row for row in rows]
-    given = Table(["policy", *GIVEN_COLUMNS], [[name, *row] for name, row in zip(names, rows)], words=True)
+    given = Table(["policy", *GIVEN_COLUMNS], [[name, *row] for name, row in zip(names, rows)])
     count = len(results.flights[0])
     return [
-        Heading("Docking"),
-        Text(
+        "## Docking",
+        (
             f"{count} flights of each policy, {count // 8} to each port, all from the same true initial states "
             f"(digest `{results.starts}`) with the same sensor noise: `iss-numerical`, cooperative noise, 4 Hz "
             "decisions, 360 s."
         ),
         docking_table(results.flights, ["world model"]),
-        Picture(figures / "tolerance.png", "Flights that met each tolerance with no collision."),
-        Heading("By port", 3),
+        Picture(
+            figures / "tolerance.png",
+            "Flights with no collision by their errors at closest approach; dashed: the bounds of strict success.",
+        ),
+        "### By port",
         port_table(results.flights),
-        Heading("What each row was given", 3),
-        Text(
+        "### What each row was given",
+        (
             "Every policy receives the noisy measurement, its port's hold pose and the thrusters' limits; none "
             "receives the truth. Beyond that:"
         ),
@@ -144,13 +148,13 @@ def _docking(results: Results, figures: Path) -> list[Block]:
 def _failed(results: Results) -> list[Block]:
     table = failures(results.flights)
     if not table.rows:
-        return [Heading("What failed"), Text("Nothing: every flight came within 1 m with no collision.")]
+        return ["## What failed", "Nothing: every flight came within 1 m with no collision."]
     counts = [f"{each.policy} {int((~succeeded(each, 1.0)).sum())}" for each in results.flights]
     return [
-        Heading("What failed"),
-        Text(f"Flights that collided or never came within 1 m: {', '.join(counts)}. Each of them:"),
+        "## What failed",
+        f"Flights that collided or never came within 1 m: {', '.join(counts)}. Each of them:",
         table,
-        Text(
+        (
             "A flight is repeated by `reset(seed=SEED, options={'dock_port': PORT})` of the environment with "
             "cooperative noise, `steps_per_action=5` and `collision_terminates=False`."
         ),
@@ -159,8 +163,8 @@ def _failed(results: Results) -> list[Block]:
 
 def _prediction(results: Results, figures: Path) -> list[Block]:
     blocks: list[Block] = [
-        Heading("Prediction"),
-        Text(
+        "## Prediction",
+        (
             "Open-loop predictions under the true future actions, compared with the noiseless truth; means over "
             f"{results.size.windows} windows of flights that neither training nor model selection has seen. Exact "
             "dynamics are the simulator's own equations started from the last noisy measurement: close to the "
@@ -169,7 +173,7 @@ def _prediction(results: Results, figures: Path) -> list[Block]:
         Picture(figures / "prediction.png", "Mean error against horizon."),
     ]
     for group, errors in results.predictions.items():
-        blocks += [Heading(group[0].upper() + group[1:], 3), prediction_table(errors)]
+        blocks += [f"### {group[0].upper() + group[1:]}", prediction_table(errors)]
     return blocks
 
 
@@ -177,14 +181,14 @@ def _training(results: Results, figures: Path) -> list[Block]:
     facts, corpus, config = results.training, results.corpus, results.size.train
     model = config.model
     return [
-        Heading("Corpus and training"),
-        Text(
+        "## Corpus and training",
+        (
             f"Corpus: {corpus['train']['transitions']:,} transitions at 20 Hz in {corpus['train']['episodes']} "
             f"episodes ({_counts(corpus['train']['policies'])}) at the five train ports, which ended as "
             f"{_counts(corpus['train']['outcomes'])}. No episode of training or selection flew to a held-out "
             "port; the prototypes that the planner's constants come from did."
         ),
-        Text(
+        (
             f"Model: {facts['parameters']:,} trained parameters ({model.blocks} block{'s' * (model.blocks > 1)} of "
             f"width {model.width}, history of {model.history_length} measurements) over the least-squares map, "
             f"{config.steps:,} optimisation steps of {config.batch} windows on {facts['steps']:,} steps of "
@@ -193,28 +197,31 @@ def _training(results: Results, figures: Path) -> list[Block]:
             "velocity: it has no products of body rates, which a larger fit could have, so the network's margin in "
             "attitude over it is no margin over the best linear regression."
         ),
-        Text(
+        (
             f"The weights of step {facts['best_step']:,} scored best on the {facts['val_episodes']} validation "
             "episodes and were kept."
             if facts["best_step"]
             else "**No trained weights scored better on the validation episodes than the untrained model: the rows "
             "of the world model are those of least squares.**"
         ),
-        Picture(figures / "loss.png", "Training losses; validation errors 16 s ahead against the measurements."),
+        Picture(
+            figures / "loss.png",
+            "Training losses, and where a harder one began; validation errors 16 s ahead against the measurements.",
+        ),
     ]
 
 
 def _trajectories(results: Results, figures: Path) -> list[Block]:
     blocks: list[Block] = [
-        Heading("Trajectories"),
-        Text(
+        "## Trajectories",
+        (
             "Grey: the keep-out boxes. Circles: starts. Dots: ends. Blue: hold poses and corridors. Crosses: "
-            "first contact with the hull."
+            "first contact with the hull. Of several flights, the upper row shows the whole way."
         ),
     ]
     for each in results.flights:
         blocks += [
-            Heading(each.policy, 3),
+            f"### {each.policy}",
             Picture(figures / f"trajectories_{slug(each.policy)}.png", f"{each.policy}: {len(each)} flights."),
         ]
     return blocks
@@ -223,10 +230,10 @@ def _trajectories(results: Results, figures: Path) -> list[Block]:
 def _paper(results: Results) -> list[Block]:
     trials = f"{results.size.trials} time{'s' if results.size.trials > 1 else ''}"
     return [
-        Heading("Next to the paper"),
-        Text("The paper's figures for the same task, with everything that makes this no like-for-like comparison:"),
+        "## Next to the paper",
+        "The paper's figures for the same task, with everything that makes this no like-for-like comparison:",
         paper_table(results.flights[:1]),
-        Bullets([text.format(trials=trials) for text in _DIFFERENCES]),
+        bullets([text.format(trials=trials) for text in _DIFFERENCES]),
     ]
 
 
@@ -265,17 +272,17 @@ def _run(results: Results) -> list[Block]:
         ]
     )
     return [
-        Heading("How this was run"),
+        "## How this was run",
         Table(["stage", "seconds", ""], rows, f"Wall time. Peak memory of the process: {memory}."),
-        Text(
+        (
             f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} "
             f"processors; outofthisworldmodel {__version__}, {versions}."
         ),
-        Text(
+        (
             f"Everything follows from seed {results.seed}: the corpus, weights, batches, the starts of all flights "
             "and the planner's draws. Starts are seeded by port and trial, away from the seeds of the corpus."
         ),
-        Code(commands),
+        code(commands),
     ]
 
 
@@ -292,6 +299,18 @@ def _curves(metrics: list[dict]):
         label: ([line["step"] for line in scored], [line[key] for line in scored]) for key, label in names.items()
     }
     return training, validation
+
+
+def _marks(results: Results) -> dict[str, float]:
+    """Steps from which on another loss is minimised: longer rollouts, or from predictions alone."""
+    trained = [line for line in results.metrics if "rollout" in line]
+    marks = {
+        f"rollouts of {after['rollout']} steps": after["step"]
+        for before, after in itertools.pairwise(trained)
+        if before["rollout"] != after["rollout"]
+    }
+    config = results.size.train
+    return marks | ({"teacher forcing ends": config.teacher * config.steps} if config.teacher else {})
 
 
 def _counts(counts: dict[str, int]) -> str:

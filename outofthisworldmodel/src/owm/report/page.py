@@ -1,60 +1,47 @@
-"""Reports: blocks of text, tables and figures, written as Markdown and as one self-contained HTML page."""
+"""Reports: written once, in Markdown; the HTML page is that Markdown with its pictures inside."""
 
 import base64
 import html
+import itertools
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from markdown_it import MarkdownIt
 
 from owm_envs.files import write_atomically
 
 
 @dataclass(frozen=True)
-class Heading:
-    """A section's title."""
-
-    text: str
-    level: int = 2
-
-
-@dataclass(frozen=True)
-class Text:
-    """A paragraph; `code` and **strong** are understood."""
-
-    text: str
-
-
-@dataclass(frozen=True)
-class Bullets:
-    """A list of short texts."""
-
-    items: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Code:
-    """Lines as they are."""
-
-    text: str
-
-
-@dataclass(frozen=True)
 class Table:
-    """Columns and rows of text; columns of numbers are aligned to the right."""
+    """Columns and rows of text; columns of numbers are aligned to the right, those that say nothing are left out."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     caption: str = ""
     strong: Sequence[int] = ()
     """Rows to set apart."""
-    words: bool = False
-    """The cells hold sentences, which may wrap."""
+
+    def __post_init__(self):
+        said = [
+            i for i in range(len(self.columns)) if not self.rows or any(row[i] not in ("", "–") for row in self.rows)
+        ]
+        object.__setattr__(self, "columns", [self.columns[i] for i in said])
+        object.__setattr__(self, "rows", [[row[i] for i in said] for row in self.rows])
 
     def is_numeric(self, column: int) -> bool:
         """Whether a column holds numbers, or nothing, in every row."""
         return column > 0 and all(re.match(r"[-+–]?\d|–?$", row[column]) for row in self.rows)
+
+    def to_markdown(self) -> str:
+        """The table, and its caption in italics."""
+        rule = ["--:" if self.is_numeric(i) else "---" for i in range(len(self.columns))]
+        rows = [[f"**{c}**" if i in self.strong and c else c for c in row] for i, row in enumerate(self.rows)]
+        cells = [[cell.replace("|", "\\|") for cell in row] for row in (self.columns, rule, *rows)]
+        lines = "\n".join(f"| {' | '.join(row)} |" for row in cells)
+        return f"{lines}\n\n*{self.caption}*" if self.caption else lines
 
 
 @dataclass(frozen=True)
@@ -65,7 +52,18 @@ class Picture:
     caption: str
 
 
-Block = Heading | Text | Bullets | Code | Table | Picture
+Block = str | Table | Picture
+"""Markdown, or what is written as such."""
+
+
+def bullets(items: Sequence[str]) -> str:
+    """A list of short texts."""
+    return "\n".join(f"- {item}" for item in items)
+
+
+def code(text: str) -> str:
+    """Lines as they are."""
+    return f"```\n{text}\n```"
 
 
 def write_report(title: str, blocks: Sequence[Block], folder: str | os.PathLike, name: str = "report") -> list[Path]:
@@ -77,92 +75,51 @@ def write_report(title: str, blocks: Sequence[Block], folder: str | os.PathLike,
     Returns:
         The two paths.
     """
-    folder = Path(folder)
-    contents = {"md": to_markdown(title, blocks, folder), "html": to_html(title, blocks)}
+    folder, parts, pictures = Path(folder), [f"# {title}"], {}
+    for block in blocks:
+        match block:
+            case Picture(path, caption):
+                link = _MARKDOWN.normalizeLink(Path(os.path.relpath(path, folder)).as_posix())
+                pictures[link] = path
+                parts.append(f"![{caption}]({link})\n\n*{caption}*")
+            case Table():
+                parts.append(block.to_markdown())
+            case text:
+                parts.append(text)
+    markdown = "\n\n".join(parts) + "\n"
+    contents = {"md": markdown, "html": to_html(markdown, pictures)}
     paths = [folder / f"{name}.{suffix}" for suffix in contents]
     for path, content in zip(paths, contents.values()):
         write_atomically(path, lambda file, content=content: file.write(content), text=True)
     return paths
 
 
-def to_markdown(title: str, blocks: Sequence[Block], folder: Path) -> str:
-    """The report as Markdown, pictures linked relative to `folder`."""
-    parts = [f"# {title}"]
-    for block in blocks:
-        match block:
-            case Heading(text, level):
-                parts.append(f"{'#' * level} {text}")
-            case Text(text):
-                parts.append(text)
-            case Bullets(items):
-                parts.append("\n".join(f"- {item}" for item in items))
-            case Code(text):
-                parts.append(f"```\n{text}\n```")
-            case Table():
-                parts.append(_markdown_table(block))
-            case Picture(path, caption):
-                parts.append(f"![{caption}]({Path(os.path.relpath(path, folder)).as_posix()})\n\n*{caption}*")
-    return "\n\n".join(parts) + "\n"
+def to_html(markdown: str, pictures: Mapping[str, Path]) -> str:
+    """Markdown that opens with its title as one HTML page that needs nothing else, light or dark as the reader's is.
+
+    Args:
+        pictures: PNG by the link in the Markdown; other images are left out but for their captions.
+    """
+    tokens, links = _MARKDOWN.parse(markdown), []
+    render = _MARKDOWN.renderer
+    for opening, inline in itertools.pairwise(tokens):
+        for token in inline.children or ():
+            if token.type == "image" and (path := pictures.get(token.attrs["src"])):
+                token.attrs["src"] = f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+            elif token.type == "image":
+                token.type = "text"
+        if opening.type == "heading_open" and opening.tag == "h2":
+            anchor = re.sub(r"[^a-z0-9]+", "-", inline.content.lower()).strip("-")
+            opening.attrSet("id", anchor)
+            links.append(f'<a href="#{anchor}">{render.renderInline(inline.children, _MARKDOWN.options, {})}</a>')
+    head, body = (render.render(some, _MARKDOWN.options, {}) for some in (tokens[:3], tokens[3:]))
+    title = html.escape(tokens[1].content)
+    return _PAGE.format(title=title, style=_STYLE, head=head, links="\n".join(links), body=body)
 
 
-def _markdown_table(table: Table) -> str:
-    def line(cells: Sequence[str]) -> str:
-        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-    rule = ["--:" if table.is_numeric(i) else "---" for i in range(len(table.columns))]
-    rows = [[f"**{cell}**" if i in table.strong and cell else cell for cell in row] for i, row in enumerate(table.rows)]
-    lines = [line(table.columns), line(rule), *map(line, rows)]
-    return "\n".join(lines) + (f"\n\n*{table.caption}*" if table.caption else "")
-
-
-def to_html(title: str, blocks: Sequence[Block]) -> str:
-    """The report as one HTML page that needs nothing else, light or dark as the reader's system is."""
-    headings = [block for block in blocks if isinstance(block, Heading) and block.level == 2]
-    links = "\n".join(f'<a href="#{_anchor(h.text)}">{_inline(h.text)}</a>' for h in headings)
-    body = "\n".join(map(_html_block, blocks))
-    return _PAGE.format(title=html.escape(title), style=_STYLE, links=links, body=body)
-
-
-def _html_block(block: Block) -> str:
-    match block:
-        case Heading(text, level):
-            return f'<h{level} id="{_anchor(text)}">{_inline(text)}</h{level}>'
-        case Text(text):
-            return f"<p>{_inline(text)}</p>"
-        case Bullets(items):
-            return "<ul>" + "".join(f"<li>{_inline(item)}</li>" for item in items) + "</ul>"
-        case Code(text):
-            return f"<pre><code>{html.escape(text)}</code></pre>"
-        case Table():
-            return _html_table(block)
-        case Picture(path, caption):
-            data = base64.b64encode(path.read_bytes()).decode("ascii")
-            image = f'<img src="data:image/png;base64,{data}" alt="{html.escape(caption, quote=True)}">'
-            return f"<figure>{image}<figcaption>{_inline(caption)}</figcaption></figure>"
-
-
-def _html_table(table: Table) -> str:
-    kinds = [' class="number"' if table.is_numeric(i) else "" for i in range(len(table.columns))]
-    head = "".join(f"<th{kind}>{_inline(text)}</th>" for kind, text in zip(kinds, table.columns))
-    rows = []
-    for i, row in enumerate(table.rows):
-        mark = ' class="strong"' if i in table.strong else ""
-        cells = "".join(f"<td{kind}>{_inline(cell)}</td>" for kind, cell in zip(kinds, row))
-        rows.append(f"<tr{mark}>{cells}</tr>")
-    caption = f"<figcaption>{_inline(table.caption)}</figcaption>" if table.caption else ""
-    kind = ' class="words"' if table.words else ""
-    table_html = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
-    return f'<figure class="table"><div class="scroll">{table_html}</div>{caption}</figure>'
-
-
-def _inline(text: str) -> str:
-    escaped = html.escape(text, quote=False)
-    escaped = re.sub(r"`([^`]+)`", r"<code>\1</code>", escaped)
-    return re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", escaped)
-
-
-def _anchor(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+_MARKDOWN = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
+_MARKDOWN.add_render_rule("table_open", lambda *_: '<div class="scroll"><table>\n')
+_MARKDOWN.add_render_rule("table_close", lambda *_: "</table></div>\n")
 
 
 _STYLE = """
@@ -187,18 +144,17 @@ code { font: .88em ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; bac
 pre { background: var(--card); border: 1px solid var(--line); border-radius: 8px; padding: .9rem 1.1rem;
   overflow-x: auto; }
 pre code { background: none; padding: 0; }
-figure { margin: 1.2rem 0; }
-figure img { width: 100%; height: auto; background: #fff; border: 1px solid var(--line); border-radius: 8px; }
-figcaption { color: var(--faint); font-size: .88rem; margin-top: .4rem; max-width: 90ch; }
+p:has(> img) { max-width: none; margin: 1.2rem 0 .4rem; }
+img { width: 100%; height: auto; background: #fff; border: 1px solid var(--line); border-radius: 8px; }
+p > em:only-child { color: var(--faint); font-size: .88rem; font-style: normal; }
 .scroll { overflow-x: auto; border: 1px solid var(--line); border-radius: 8px; }
 table { border-collapse: collapse; width: 100%; font-size: .9rem; font-variant-numeric: tabular-nums; }
 th { text-align: left; font-weight: 600; color: var(--faint); background: var(--card); vertical-align: bottom; }
 th, td { padding: .42rem .65rem; }
-td { white-space: nowrap; border-top: 1px solid var(--line); }
-.number { text-align: right; }
-table.words td { white-space: normal; vertical-align: top; }
-table.words td:first-child { white-space: nowrap; }
-tr.strong td { font-weight: 650; background: color-mix(in srgb, var(--accent) 9%, transparent); }
+td { vertical-align: top; border-top: 1px solid var(--line); }
+td:first-child, td[style] { white-space: nowrap; }
+td:last-child:not([style]) { min-width: 14rem; }
+tr:has(td:first-child > strong) td { background: color-mix(in srgb, var(--accent) 9%, transparent); }
 """.strip()
 
 _PAGE = """<!doctype html>
@@ -213,8 +169,7 @@ _PAGE = """<!doctype html>
 </head>
 <body>
 <main>
-<h1>{title}</h1>
-<nav>
+{head}<nav>
 {links}
 </nav>
 {body}

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
+from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
@@ -67,44 +67,58 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
     ports = sorted(set(flights.port.tolist()))
     title = title or f"{flights.policy}: {', '.join(PORT_NAMES[p] for p in ports) if len(ports) < 4 else 'all ports'}"
     ends, single = end_of(flights), len(flights) == 1
-    room = hull_distance(flights.trajectory[..., :3], radius)
-    figure = Figure(figsize=(14, 8.4), layout="constrained", facecolor="white")
+    # Many flights, the whole way to scale, would hide the station: a second row looks at it closely.
+    hull = hull_boxes().reshape(-1, 3)
+    spans = {"": np.concatenate([flights.trajectory[..., :3].reshape(-1, 3), hull])}
+    spans |= {} if single else {", close up": hull}
+    figure = Figure(figsize=(14, 3.4 + 5 * len(spans)), layout="constrained", facecolor="white")
     figure.suptitle(title, fontsize=14, fontweight="bold", color=_INK)
-    grid = figure.add_gridspec(2, 3, height_ratios=(1.45, 1))
-    low, high = _limits(flights)
-    for column, (name, i, j, sign) in enumerate(_VIEWS):
-        axes = figure.add_subplot(grid[0, column])
-        _station(axes, i, j, sign)
-        for port in ports:
-            _corridor(axes, port, i, j, label=len(ports) <= 2)
-        for n, track in enumerate(flights.trajectory):
-            _track(axes, track, room[n], i, j, ENDS[ends[n]], single)
-        axes.set(xlim=(low[i], high[i]), ylim=(low[j], high[j]), xlabel=_AXES[i], ylabel=_AXES[j])
-        axes.set_aspect("equal")
-        axes.set_title(name, loc="left", fontsize=10, color=_INK)
-        _tidy(axes)
-    _histories(figure, [grid[1, column] for column in range(3)], flights, ends, room)
+    grid = figure.add_gridspec(len(spans) + 1, 3, height_ratios=(*[1.45] * len(spans), 1))
+    views = [[figure.add_subplot(grid[row, column]) for column in range(3)] for row in range(len(spans))]
+    for row, (closeness, span) in zip(views, spans.items()):
+        low, high = _limits(span)
+        for axes, (name, i, j, sign) in zip(row, _VIEWS):
+            _station(axes, i, j, sign, single)
+            for port in ports:
+                _corridor(axes, port, i, j, label=len(ports) <= 2)
+            axes.set(xlim=(low[i], high[i]), ylim=(low[j], high[j]), xlabel=_AXES[i], ylabel=_AXES[j])
+            axes.set_aspect("equal")
+            axes.set_title(name + closeness, loc="left", fontsize=10, color=_INK)
+            _tidy(axes)
+    histories = [figure.add_subplot(grid[-1, column]) for column in range(3)]
+    labels = {}
+    for layer, (end, color) in enumerate(ENDS.items()):
+        some = flights.select(ends == end)
+        if len(some) == 0:
+            continue
+        # The fainter, the more ended alike; the worst on top.
+        stroke = {"color": color, "alpha": min(0.95, max(0.15, 40 / len(some))), "lw": 1.6 if single else 0.9,
+                  "zorder": 3 + 0.1 * layer}  # fmt: skip
+        room = hull_distance(some.trajectory[..., :3], radius)
+        for row in views:
+            for axes, (_, i, j, _) in zip(row, _VIEWS):
+                _tracks(axes, some.trajectory, room, i, j, stroke, single)
+        _histories(histories, some, room, stroke)
+        labels[end if single else f"{end}: {len(some)}"] = color
+    _finish_histories(histories, flights, labels)
     return figure
 
 
-def _limits(flights: Flights):
-    station = np.array([[-54.0, -34, -34], [54.0, 36, 39]])
-    points = np.concatenate([flights.trajectory[..., :3].reshape(-1, 3), station])
+def _limits(points: Float[np.ndarray, "N 3"]):
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    if len(flights) > 1:
-        # Many flights are drawn for how they end: the first half of the way may leave the picture.
-        low, high = np.maximum(low, -110), np.minimum(high, 110)
     # One scale for the three views: equal spans about each axis's middle.
-    half, middle = 0.53 * (high - low).max(), 0.5 * (low + high)
+    half, middle = 0.55 * (high - low).max(), 0.5 * (low + high)
     return middle - half, middle + half
 
 
-def _station(axes: Axes, i: int, j: int, sign: int) -> None:
+def _station(axes: Axes, i: int, j: int, sign: int, single: bool) -> None:
     boxes = hull_boxes()
     # Far boxes first, so that what is near hides them.
     boxes = boxes[np.argsort(sign * boxes.mean(axis=1)[:, 3 - i - j])]
     patches = [Rectangle((b[0, i], b[0, j]), b[1, i] - b[0, i], b[1, j] - b[0, j]) for b in boxes]
-    axes.add_collection(PatchCollection(patches, facecolor="#d5dae2", edgecolor="#aab2be", linewidth=0.3, zorder=1))
+    # Over many flights, or they would cover it.
+    axes.add_collection(PatchCollection(patches, facecolor="#d5dae2", edgecolor="#8c95a3", linewidth=0.3,
+                                        alpha=1 if single else 0.75, zorder=1 if single else 3.15))  # fmt: skip
 
 
 def _corridor(axes: Axes, port: int, i: int, j: int, label: bool) -> None:
@@ -132,31 +146,24 @@ def _corridor(axes: Axes, port: int, i: int, j: int, label: bool) -> None:
         )
 
 
-def _track(axes: Axes, track: Float[np.ndarray, "T 13"], room, i: int, j: int, color: str, single: bool) -> None:
-    flown = ~np.isnan(track[:, 0])
-    track, room = track[flown], room[flown]
-    size = 5 if single else 3
-    axes.plot(track[:, i], track[:, j], color=color, lw=1.6 if single else 0.9, alpha=0.95, zorder=3)
-    axes.plot(track[0, i], track[0, j], "o", color=color, ms=size, mfc="white", zorder=4)
-    axes.plot(track[-1, i], track[-1, j], "o", color=color, ms=size, zorder=4)
-    if (room <= 0).any():
-        first = np.argmax(room <= 0)
-        axes.plot(track[first, i], track[first, j], "x", color="#a01818", ms=size + 3, mew=1.8, zorder=6)
+def _tracks(
+    axes: Axes, tracks: Float[np.ndarray, "N T 13"], room: np.ndarray, i: int, j: int, stroke: dict, single: bool
+) -> None:
+    places = tracks[..., [i, j]]
+    ends = places[np.arange(len(tracks)), np.sum(np.isfinite(tracks[..., 0]), axis=1) - 1]
+    touched = (room <= 0).any(axis=1)
+    contacts = places[touched, np.argmax(room[touched] <= 0, axis=1)]
+    size, color = 5 if single else 3, stroke["color"]
+    axes.add_collection(LineCollection(places, **stroke))
+    axes.plot(*places[:, 0].T, "o", color=color, ms=size, mfc="white", zorder=4)
+    axes.plot(*ends.T, "o", color=color, ms=size, zorder=4)
+    axes.plot(*contacts.T, "x", color="#a01818", ms=size + 1, mew=0.35 * size, zorder=6)
     if single:
-        some = track[:: max(1, len(track) // 14)]
+        flown = tracks[0][np.isfinite(tracks[0, :, 0])]
+        some = flown[:: max(1, len(flown) // 14)]
         nose = _nose(some[:, 6:10])
-        axes.quiver(
-            some[:, i],
-            some[:, j],
-            nose[:, i],
-            nose[:, j],
-            color=_INK,
-            width=0.003,
-            scale=22,
-            headwidth=4,
-            zorder=4,
-            label="nose",
-        )
+        axes.quiver(some[:, i], some[:, j], nose[:, i], nose[:, j], color=_INK, width=0.003, scale=22, headwidth=4,
+                    zorder=4, label="nose")  # fmt: skip
 
 
 def _nose(q: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3"]:
@@ -165,16 +172,18 @@ def _nose(q: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3"]:
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
-def _histories(figure: Figure, places, flights: Flights, ends, room) -> None:
+def _histories(panels: Sequence[Axes], flights: Flights, room, stroke: dict) -> None:
     time = np.arange(flights.trajectory.shape[1]) * flights.decision_dt
     goals = goal_poses()[flights.port, :3]
     distance = np.linalg.norm(flights.trajectory[..., :3] - goals[:, None], axis=-1)
     speed = np.linalg.norm(flights.trajectory[..., 3:6], axis=-1)
+    for axes, values in zip(panels, (distance, speed, room)):
+        axes.plot(time, values.T, **stroke)
+
+
+def _finish_histories(panels: Sequence[Axes], flights: Flights, labels: Mapping[str, str]) -> None:
     names = ("range to goal [m]", "speed [m/s]", "hull clearance of the bounding sphere [m]")
-    panels = [figure.add_subplot(place) for place in places]
-    for axes, name, values in zip(panels, names, (distance, speed, room)):
-        for n in range(len(flights)):
-            axes.plot(time, values[n], color=ENDS[ends[n]], lw=1.5 if len(flights) == 1 else 0.8, alpha=0.9)
+    for axes, name in zip(panels, names):
         axes.set_title(name, loc="left", fontsize=10, color=_INK)
         axes.set_xlim(0, max(float(flights.time.max()), flights.decision_dt))
         axes.set_xlabel("time [s]")
@@ -184,46 +193,63 @@ def _histories(figure: Figure, places, flights: Flights, ends, room) -> None:
     panels[0].axhline(0.1, color=_FAINT, lw=0.8, ls=":")
     panels[2].set_yscale("symlog", linthresh=1.0)
     panels[2].axhline(0.0, color="#a01818", lw=0.8)
-    counts = {end: int(np.sum(ends == end)) for end in ENDS}
-    handles = [panels[0].plot([], [], color=color, lw=2)[0] for end, color in ENDS.items() if counts[end]]
-    labels = [f"{end}: {counts[end]}" if len(flights) > 1 else end for end in ENDS if counts[end]]
-    panels[0].legend(handles, labels, fontsize=8, frameon=False, loc="upper right")
+    handles = [panels[0].plot([], [], color=color, lw=2)[0] for color in labels.values()]
+    panels[0].legend(handles, list(labels), fontsize=8, frameon=False, loc="upper right")
 
 
 def _tidy(axes: Axes) -> None:
     axes.grid(color="#e7eaef", lw=0.6, zorder=0)
     axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8, colors=_INK)
+    axes.tick_params(which="both", labelsize=8, colors=_INK)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
         axes.spines[side].set_color(_FAINT)
 
 
-def _nested(n: int) -> dict[str, float]:
-    """Widths that let a line be seen under those drawn after it."""
-    return {"lw": max(1.2, 4.2 - 0.9 * n), "ms": max(3.0, 8.0 - 1.4 * n)}
+def _nested(n: int) -> float:
+    """A width that lets a line be seen under those drawn after it."""
+    return max(1.2, 4.2 - 0.9 * n)
 
 
 def tolerance_figure(flights: Sequence[Flights]) -> Figure:
-    """Collision-voided success against position tolerance, position only and with all bounds."""
-    figure = Figure(figsize=(11, 4.2), layout="constrained", facecolor="white")
-    panels = figure.subplots(1, 2, sharey=True)
-    for axes, full in zip(panels, (False, True)):
-        for n, each in enumerate(flights):
-            rates = [rate(succeeded(each, tolerance, full=full))["rate"] * 100 for tolerance in TOLERANCES]
-            axes.plot(TOLERANCES, rates, "o-", color=PALETTE[n % len(PALETTE)], label=each.policy, **_nested(n))
-        axes.set_xscale("log")
-        axes.set_xticks(TOLERANCES, [f"{t:g}" for t in TOLERANCES])
+    """Share of flights with no collision that end within an error, for each of four errors at closest approach.
+
+    Dashed: the bounds of strict success.
+    """
+    figure = Figure(figsize=(14, 4.2), layout="constrained", facecolor="white")
+    speed, attitude, turning = flights[0].bounds
+    panels = {
+        "distance": (1.0, "m", TOLERANCES[0]),
+        "speed": (1.0, "m/s", speed),
+        "attitude": (np.degrees(1.0), "deg", np.degrees(attitude)),
+        "rate": (np.degrees(1.0), "deg/s", np.degrees(turning)),
+    }
+    for axes, (label, (scale, unit, bound)) in zip(figure.subplots(1, 4, sharey=True), panels.items()):
+        errors = [scale * getattr(each, f"closest_{label}")[~each.collided] for each in flights]
+        errors = [np.sort(some[np.isfinite(some)]) for some in errors]
+        found = np.concatenate([*errors, [bound]])
+        low = min(0.8 * max(found.min(), bound / 100), bound / 4)
+        high = 1.25 * min(found.max(), 100 * bound)
+        digits = (1, 2, 5) if high / low < 200 else (1,)
+        for n, (each, some) in enumerate(zip(flights, errors)):
+            shares = 100 * np.arange(len(some) + 1) / max(len(each), 1)
+            axes.step([low, *some, high], [*shares, shares[-1]], where="post", color=PALETTE[n % len(PALETTE)],
+                      lw=_nested(n), label=each.policy)  # fmt: skip
+        axes.axvline(bound, color=_INK, lw=0.9, ls="--", zorder=1)
+        axes.set(xscale="log", xlim=(low, high), ylim=(-3, 103), xlabel=f"{label} at closest approach [{unit}]")
+        axes.set_xticks(*_ticks((low, high), [k * 10.0**e for e in range(-6, 4) for k in digits]))
         axes.minorticks_off()
-        axes.set(xlabel="tolerance on the closest approach [m]", ylim=(-3, 103))
-        kind = "with bounds on speed, attitude and rate" if full else "position only"
-        axes.set_title(kind, loc="left", fontsize=10, color=_INK)
         _tidy(axes)
-    panels[0].set_ylabel("flights without collision [%]")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    figure.axes[0].set_ylabel("flights without collision [%]")
+    _legend(figure)
     return figure
+
+
+def _legend(figure: Figure) -> None:
+    """What the colours mean, once, below all panels."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
 
 
 def port_figure(flights: Sequence[Flights], quoted: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
@@ -256,8 +282,7 @@ def port_figure(flights: Sequence[Flights], quoted: Mapping[str, Mapping[str, fl
     axes.set(ylim=(0, 115), ylabel="within 1 m, no collision [%]")
     _tidy(axes)
     axes.grid(visible=False, axis="x")
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    _legend(figure)
     return figure
 
 
@@ -270,7 +295,7 @@ def speed_figure(flights: Sequence[Flights]) -> Figure:
         rows = [row for row in speed_by_range(each, edges) if row["count"] >= 10]
         middle = [np.sqrt(row["from"] * row["to"]) for row in rows]
         color = PALETTE[n % len(PALETTE)]
-        axes.plot(middle, [row["p50"] for row in rows], color=color, lw=_nested(n)["lw"], label=each.policy)
+        axes.plot(middle, [row["p50"] for row in rows], color=color, lw=_nested(n), label=each.policy)
         low, high = ([row[key] for row in rows] for key in ("p10", "p90"))
         axes.fill_between(middle, low, high, color=color, alpha=0.12, lw=0)
     axes.axhspan(0.05, 0.10, color=_FAINT, alpha=0.25, lw=0, zorder=0)
@@ -279,16 +304,21 @@ def speed_figure(flights: Sequence[Flights]) -> Figure:
     axes.set_xlim(0.1, 300)
     axes.invert_xaxis()
     _tidy(axes)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(5, len(labels)))
+    _legend(figure)
     return figure
 
 
 def loss_figure(
     training: Mapping[str, tuple[Sequence[float], Sequence[float]]],
     validation: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    marks: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Training losses and validation scores against the optimisation step: name to (steps, values)."""
+    """Training losses and validation scores against the optimisation step: name to (steps, values).
+
+    Args:
+        training, validation: a panel each.
+        marks: what changed in training, and at which step.
+    """
     figure = Figure(figsize=(11, 3.8), layout="constrained", facecolor="white")
     panels = figure.subplots(1, 2)
     for axes, curves, title in zip(panels, (training, validation), ("training loss", "validation")):
@@ -305,9 +335,12 @@ def loss_figure(
         if all(np.all(np.asarray(v) > 0) for _, v in curves.values()):
             axes.set_yscale("log")
         axes.set_xlabel("optimisation step")
-        axes.set_title(title, loc="left", fontsize=10, color=_INK)
+        axes.set_title(title, loc="left", fontsize=10, color=_INK, pad=16)
         axes.legend(fontsize=8, frameon=False)
         _tidy(axes)
+    for mark, step in (marks or {}).items():
+        panels[0].axvline(step, color=_INK, lw=0.9, ls="--", zorder=1)
+        panels[0].text(step, 1.01, mark, fontsize=8, color=_INK, transform=panels[0].get_xaxis_transform())
     return figure
 
 
@@ -324,58 +357,58 @@ def prediction_figure(groups: Mapping[str, Sequence[PredictionError]]) -> Figure
             axes.set(yscale="log", ylabel=f"{quantity.split('_')[0]} error [{unit}]")
             _tidy(axes)
         row[0].set_title(title, loc="left", fontsize=10, color=_INK)
-    _horizons(figure, panels)
+    for axes in panels[-1]:
+        axes.set_xlabel("horizon [s]")
+    _legend(figure)
     return figure
 
 
 def calibration_figure(groups: Mapping[str, Sequence[Calibration]]) -> Figure:
-    """Coverage of central intervals (dashed: nominal) and spread over error against horizon, a row per group."""
-    groups = {title: group for title, group in groups.items() if group}
-    figure = Figure(figsize=(16, 3.4 * len(groups) + 0.5), layout="constrained", facecolor="white")
-    panels = figure.subplots(len(groups), 4, squeeze=False, sharex=True, sharey="col")
-    names = list(dict.fromkeys(each.name for group in groups.values() for each in group))
-    for row, (title, group) in zip(panels, groups.items()):
-        for half, (k, quantity) in enumerate(((0, "position"), (2, "attitude"))):
-            covered, ratio = row[2 * half], row[2 * half + 1]
-            for each in group:
-                seconds = np.asarray(each.horizons) * each.dt
-                for level, marker in zip(range(len(each.levels)), ("o", "s", "^", "d", "v")):
-                    _curve(covered, names, each.name, seconds, 100 * each.coverage[:, k, level], marker, level == 0)
-                    covered.axhline(100 * each.levels[level], color=_FAINT, lw=0.8, ls="--", zorder=1)
-                _curve(ratio, names, each.name, seconds, each.spread[:, k] / np.maximum(each.error[:, k], 1e-12), "o")
-            ratio.axhline(1.0, color=_FAINT, lw=0.8, ls="--", zorder=1)
-            covered.set(ylim=(-3, 103), ylabel=f"{quantity} covered [%]")
-            low, high = ratio.get_ylim()
-            ratio.set(
-                yscale="log", ylim=(min(max(low, 0.01), 0.4), max(high, 2.5)), ylabel=f"{quantity} spread / error"
-            )
-            ratio.set_yticks(*_ticks(ratio.get_ylim(), (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)))
-            for axes in (covered, ratio):
-                axes.set_xscale("log")
-                axes.set_xticks(*_ticks(axes.get_xlim(), (0.25, 0.5, 1, 2, 4, 8, 16, 32)))
-                axes.minorticks_off()
-                _tidy(axes)
-        row[0].set_title(title, loc="left", fontsize=10, color=_INK)
-    _horizons(figure, panels)
+    """Coverage of central intervals and spread over error against horizon; dashed: as it should be.
+
+    A row for each group and quantity, a panel for each level: one curve a model.
+    """
+    rows = [(f"{title}: {quantity}", k, group) for title, group in groups.items() if group
+            for k, quantity in ((0, "position"), (2, "attitude"))]  # fmt: skip
+    levels = rows[0][2][0].levels
+    names = list(dict.fromkeys(each.name for *_, group in rows for each in group))
+    figure = Figure(figsize=(16, 2.6 * len(rows) + 0.6), layout="constrained", facecolor="white")
+    panels = figure.subplots(len(rows), len(levels) + 1, squeeze=False, sharex=True, sharey="col")
+    for row, (title, k, group) in zip(panels, rows):
+        for each in group:
+            seconds = np.asarray(each.horizons) * each.dt
+            for axes, covered in zip(row, each.coverage[:, k].T):
+                _curve(axes, names, each.name, seconds, 100 * covered, marked=True)
+            ratio = each.spread[:, k] / np.maximum(each.error[:, k], 1e-12)
+            _curve(row[-1], names, each.name, seconds, ratio, marked=True)
+        for axes, nominal in zip(row, [*(100 * level for level in levels), 1.0]):
+            axes.axhline(nominal, color=_INK, lw=0.9, ls="--", zorder=4)
+            axes.set_xscale("log")
+            axes.set_xticks(*_ticks(axes.get_xlim(), (0.25, 0.5, 1, 2, 4, 8, 16, 32)))
+            axes.minorticks_off()
+            _tidy(axes)
+        row[0].set_title(title, loc="left", fontsize=10, fontweight="bold", color=_INK)
+        for axes, level in zip(row, levels):
+            axes.set(ylim=(-3, 103), ylabel=f"in the {100 * level:g} % interval [%]")
+        row[-1].set_ylabel("spread / error")
+    last = panels[0, -1]
+    low, high = last.get_ylim()
+    last.set(yscale="log", ylim=(min(max(low, 0.01), 0.4), max(high, 2.5)))
+    last.set_yticks(*_ticks(last.get_ylim(), (0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50)))
+    last.minorticks_off()
+    for axes in panels[-1]:
+        axes.set_xlabel("horizon [s]")
+    _legend(figure)
     return figure
 
 
-def _curve(axes: Axes, names: Sequence[str], name: str, x, y, marker: str = "", label: bool = True) -> None:
+def _curve(axes: Axes, names: Sequence[str], name: str, x, y, *, marked: bool = False) -> None:
     n = names.index(name)
-    style = {"color": PALETTE[n % len(PALETTE)], "ls": "-" if n < len(PALETTE) else "--"}
-    axes.plot(
-        x, y, marker=marker, ms=4, lw=_nested(n)["lw"] if not marker else 1.4, label=name if label else None, **style
-    )
+    style = {"marker": "os^dvP*X"[n % 8], "ms": 4, "lw": 1.4} if marked else {"lw": _nested(n)}
+    axes.plot(x, y, color=PALETTE[n % len(PALETTE)], ls="-" if n < len(PALETTE) else "--", label=name, **style)
 
 
 def _ticks(limits: tuple[float, float], ticks: Sequence[float]) -> tuple[list[float], list[str]]:
     """Those of the ticks within the limits, and how to write them."""
     within = [tick for tick in ticks if limits[0] <= tick <= limits[1]]
     return within, [f"{tick:g}" for tick in within]
-
-
-def _horizons(figure: Figure, panels: np.ndarray) -> None:
-    for axes in panels[-1]:
-        axes.set_xlabel("horizon [s]")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=9, frameon=False, loc="outside lower center", ncols=min(len(labels), 8))

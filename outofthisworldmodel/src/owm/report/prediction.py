@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from owm.report.page import Block, Heading, Picture, Table, Text
+from owm.report.page import Block, Picture, Table
 from owm.scores.prediction import QUANTITIES
 
 _SECONDS = (1.0, 4.0, 16.0)
@@ -23,17 +23,17 @@ def prediction_blocks(folder: Path, figures: Path) -> Iterator[Block]:
 
 
 def _blocks(rows: Mapping[str, Any], folder: Path, figures: Path) -> Iterator[Block]:
-    yield Heading("Prediction")
-    yield Text(
+    yield "## Prediction"
+    yield (
         "Open loop under the true future actions, against the noiseless truth; means over windows of the same instants "
         "for all. The filter starts from as many measurements as the model with the longest history."
     )
     for group, some in _grouped(rows["error"]).items():
-        yield Heading(f"Prediction errors: {group}", 3)
+        yield f"### Prediction errors: {group}"
         columns = ["m / m/s / deg / deg/s at", *(f"{s:g} s" for s in _SECONDS)]
         yield Table(columns, _cells(some, lambda row: " / ".join(f"{row[f'{q}_mean']:.2g}" for q in QUANTITIES)))
     for group, some in _grouped(rows["calibration"]).items():
-        yield Heading(f"Calibration: {group}", 3)
+        yield f"### Calibration: {group}"
         levels = [key.rpartition("_")[2] for key in some[0] if key.startswith(f"{QUANTITIES[0]}_coverage_")]
 
         def calibrated(row: Mapping[str, Any], levels=levels) -> str:

@@ -9,21 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import binomtest
 
-_Z95 = 1.959963984540054
 
-
-def wilson(count: float, total: int, z: float = _Z95) -> tuple[float, float]:
-    """Wilson's score interval of a proportion, 95 % unless `z` says otherwise; (0, 1) without a trial.
-
-    Source: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209.
-    """
-    if total == 0:
-        return 0.0, 1.0
-    share = count / total
-    spread = z * math.sqrt(share * (1 - share) / total + z * z / (4 * total * total))
-    centre, scale = share + z * z / (2 * total), 1 + z * z / total
-    low = (centre - spread) / scale if count else 0.0
-    return low, (centre + spread) / scale if count < total else 1.0
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """Wilson's 95 % score interval of a proportion; (0, 1) without a trial."""
+    return tuple(binomtest(count, total).proportion_ci(method="wilson")) if total else (0.0, 1.0)
 
 
 def rate(hits: Bool[np.ndarray, "N"]) -> dict[str, float]:
@@ -38,7 +27,8 @@ def seeded_rate(hits: Sequence[Bool[np.ndarray, "N"]], *, draws: int = 2000, see
     """Rate over several trained seeds that flew the same starts, its 95 % interval from resampled seeds, then flights.
 
     Three seeds resampled vary less than seeds do: the interval is a lower bound of the uncertainty. It is widened to
-    Wilson's of one seed's flights at the mean rate, which is what is left where all seeds agree in every flight.
+    Wilson's of one seed's flights at the mean rate (its count rounded outwards), which is what is left where all seeds
+    agree in every flight.
 
     Args:
         hits: one array a seed, of one length.
@@ -60,9 +50,10 @@ def seeded_rate(hits: Sequence[Bool[np.ndarray, "N"]], *, draws: int = 2000, see
     for i in range(draws):
         drawn = rng.integers(seeds, size=seeds)
         means[i] = np.mean([table[s, rng.integers(flights, size=flights)].mean() for s in drawn])
-    low, high = wilson(numbers["rate"] * flights, flights)
-    spread = np.quantile(means, [0.025, 0.975])
-    return numbers | {"low": float(min(low, spread[0])), "high": float(max(high, spread[1]))}
+    low, high = np.quantile(means, [0.025, 0.975])
+    least, most = numbers["count"] // seeds, -(-numbers["count"] // seeds)
+    low, high = min(low, wilson(least, flights)[0]), max(high, wilson(most, flights)[1])
+    return numbers | {"low": float(low), "high": float(high)}
 
 
 def mcnemar(first_only: int, second_only: int) -> float:

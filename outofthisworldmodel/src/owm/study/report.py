@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from owm import __version__
 from owm.catalogue.policies import GIVEN, GIVEN_COLUMNS, Given, checkpoint_folder, kind_of
-from owm.report.page import Block, Bullets, Code, Heading, Picture, Table, Text, write_report
+from owm.report.page import Block, Picture, Table, bullets, code, write_report
 from owm.report.paper import DIFFERENCES, NOT_ALIKE, PLANNER_BY_PORT, PPO_BY_PORT, paper_table
 from owm.report.plots import port_figure, save_figure, speed_figure, tolerance_figure, trajectory_figure
 from owm.report.tables import (
@@ -65,7 +65,7 @@ def write_matrix_report(
         ValueError: rows of a study did not fly the same starts.
     """
     comparisons = {}
-    blocks: list[Block] = [Text(_opening(matrix, flown, conditions))]
+    blocks: list[Block] = [_opening(matrix, flown, conditions)]
     for study in matrix.studies:
         wanted = rows_flown(matrix, study, flown)
         comparisons[study.title] = compare(matrix, study, wanted)
@@ -127,16 +127,16 @@ def _opening(matrix: Matrix, flown: Flown, conditions: Mapping[str, Condition]) 
 def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, families) -> Iterator[Block]:
     wanted = list(study_keys(matrix, study))
     keys = [key for key in wanted if key in flown]
-    yield Heading(study.title)
+    yield f"## {study.title}"
     if study.text:
-        yield Text(study.text)
+        yield study.text
     if len(keys) < len(wanted):
-        yield Text(f"**Not flown:** {'; '.join(row_name(*key) for key in wanted if key not in flown)}.")
+        yield f"**Not flown:** {'; '.join(row_name(*key) for key in wanted if key not in flown)}."
     if not keys:
         return
     changed = [name for name in study.conditions if name != "nominal"]
     if changed:
-        yield Bullets([f"**{name}**: {conditions[name].what}." for name in changed])
+        yield bullets([f"**{name}**: {conditions[name].what}." for name in changed])
     if len(study.conditions) > 1:
         cells = {(row_name(label, planner), condition): flown[label, planner, condition]
                  for label, planner, condition in keys}  # fmt: skip
@@ -155,12 +155,12 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
             check_identical_starts(group)
         given = {row_name(*key): _tokens(given_of(matrix, key)) for key in keys}
         if len(study.conditions) > 1:
-            yield Heading(condition, 3)
+            yield f"### {condition}"
         table = docking_table(rows, given=given, by_split=True)
         # The columns are explained once.
         yield table if study is matrix.studies[0] and condition == study.conditions[0] else replace(table, caption="")
     if families["1 m"]:
-        yield Heading(f"{study.title}: paired comparisons", 3)
+        yield f"### {study.title}: paired comparisons"
         yield pairs_table(list(families.items()))
     first = [key for key in keys if key[2] == study.conditions[0] and key[1] in (None, study.planners[0])]
     drawn = [flown[key][0] for key in keys if row_name(*key) in study.draw] or [flown[key][0] for key in first]
@@ -168,9 +168,9 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
     if study.figures:
         yield from _figures(drawn, figures, slug(study.title))
     if drawn and study.figures:
-        yield Heading(f"{study.title}: by port", 3)
+        yield f"### {study.title}: by port"
         yield port_table(drawn)
-        yield Heading(f"{study.title}: all definitions of success", 3)
+        yield f"### {study.title}: all definitions of success"
         yield definitions_table(drawn)
         yield from _failed(drawn)
     for key in keys:
@@ -182,7 +182,10 @@ def _study(matrix, study: Study, flown: Flown, figures: Path, conditions, famili
 
 def _figures(drawn: Sequence[Flights], figures: Path, name: str) -> Iterator[Block]:
     pictures = {
-        "tolerance": (tolerance_figure(drawn), "Flights that met each tolerance with no collision."),
+        "tolerance": (
+            tolerance_figure(drawn),
+            "Flights with no collision by their errors at closest approach; dashed: the bounds of strict success.",
+        ),
         "ports": (
             port_figure(drawn, {"paper: planner": PLANNER_BY_PORT, "paper: PPO": PPO_BY_PORT}),
             f"Flights within 1 m with no collision by port; bars: 95 % Wilson intervals. {NOT_ALIKE}",
@@ -237,40 +240,40 @@ def _tokens(given: Given) -> str:
 
 
 def _given(matrix: Matrix, flown: Flown) -> Iterator[Block]:
-    yield Heading("What each row was given")
-    yield Text(
+    yield "## What each row was given"
+    yield (
         "Every policy receives the noisy measurement, its port's hold pose and the thrusters' limits; none receives "
         "the truth, and none is told what a condition changes, but for the noise preset. Beyond that:"
     )
     rows = {row_name(label, planner): given_of(matrix, (label, planner, "")) for label, planner, _ in flown}
-    yield Table(["policy", *GIVEN_COLUMNS], [[name, *given] for name, given in rows.items()], words=True)
+    yield Table(["policy", *GIVEN_COLUMNS], [[name, *given] for name, given in rows.items()])
 
 
 def _paper(matrix: Matrix, flown: Flown) -> Iterator[Block]:
     rows = [join(seeds) for (_, planner, condition), seeds in flown.items()
             if condition in ("nominal", "near") and planner in (None, "geodesic")]  # fmt: skip
     if rows:
-        yield Heading("Next to the paper")
+        yield "## Next to the paper"
         yield paper_table(rows)
-        yield Bullets(DIFFERENCES)
+        yield bullets(DIFFERENCES)
 
 
 def _run(matrix: Matrix, out: Path, commands: str) -> Iterator[Block]:
-    yield Heading("How this was run")
+    yield "## How this was run"
     if commands:
-        yield Code(commands)
+        yield code(commands)
     packages = ("jax", "jaxlib", "numpy", "gymnasium", "equinox")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
     stores = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((out / "flights").rglob("row.json"))]
     sources = sorted({port["source"] for store in stores for port in store["ports"].values()})
     seconds = sum(port["seconds"] for store in stores for port in store["ports"].values())
-    yield Text(
+    yield (
         f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} "
         f"processors; outofthisworldmodel {__version__}, {versions}. {seconds / 60:.0f} minutes of flying in all "
         f"processes, compilation included, by source code of digest {', '.join(sources)}. Everything follows from seed "
         f"{matrix.seed}."
     )
-    yield Code(json.dumps(matrix.model_dump(mode="json", exclude_defaults=True), indent=1))
+    yield code(json.dumps(matrix.model_dump(mode="json", exclude_defaults=True), indent=1))
 
 
 def _write_csv(flown: Flown, out: Path) -> Path:
