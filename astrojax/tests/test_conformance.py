@@ -5,6 +5,8 @@ The cases are example calls of every public function, on both sides of each of i
 
 import functools
 import inspect
+import pathlib
+import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -330,6 +332,43 @@ def test_gradients(case, quick, x64):
         narrow = gradient(*cast((start, scales), jnp.float32))
         assert narrow.dtype == jnp.float32
         np.testing.assert_allclose(narrow, wide, rtol=0, atol=case.gradient_rtol32 * size + 1e-300)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_strict_flags(case, jax_flags):
+    """Values and derivatives under all of JAX's strictness flags at once."""
+    args = cast(case.points[0], jnp.float32)
+    with jax_flags(strict=True):
+        out = jax.eval_shape(lambda *args: jax.jvp(case.fn, args, args), *args)
+    assert {leaf.dtype for leaf in jax.tree.leaves(out)} == {jnp.dtype("float32")}
+
+
+GUARDED = ("quat_normalize", "quat_to_rotation_vector", "quat_from_rotation_vector", "illumination_conical", "stm_hcw")
+
+
+@pytest.mark.parametrize("name", GUARDED)
+def test_no_number_on_the_way_is_nan_or_infinite(name, jax_flags):
+    """Operation by operation, on both sides of each branch, as the search for NaN looks at them."""
+    case = next(case for case in CASES if case.name == name)
+    with jax_flags(debug_nans=True, debug_infs=True):
+        for args in case.points:
+            case.fn(*cast(args, jnp.float32))
+
+
+def test_epochs_of_mixed_types_under_strict_flags(jax_flags):
+    """A whole day beside float seconds is no mixture that the caller has to resolve."""
+    with jax_flags(strict=True):
+        for day in (61253, np.int32(61253), jnp.asarray(61253, jnp.int32)):
+            assert time.gmst(day, jnp.float32(43210.0)).dtype == jnp.float32
+            assert dynamics.celestial_bodies(day, jnp.float32(43210.0)).moon.dtype == jnp.float32
+
+
+def test_readme_under_strict_flags(jax_flags, capsys):
+    text = (pathlib.Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"```python\n(.*?)```", text, re.DOTALL).group(1)
+    with jax_flags(strict=True, debug_nans=True, debug_infs=True, check_tracer_leaks=True):
+        exec(compile(block, "README.md", "exec"), {})
+    assert "e+" in capsys.readouterr().out
 
 
 def test_every_public_function_has_a_case():

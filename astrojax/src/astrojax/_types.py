@@ -12,6 +12,12 @@ Quaternion = Float[Array, "4"]
 Matrix3 = Float[Array, "3 3"]
 
 
+def float_dtype(*args: ArrayLike) -> jnp.dtype:
+    """The floating dtype that holds all arguments, by JAX's usual rules whatever the caller's are."""
+    with jax.numpy_dtype_promotion("standard"):
+        return jnp.result_type(*args, 1.0)
+
+
 def dot(a: Array, b: Array) -> Array:
     """Inner product written out, which XLA fuses where a batched `dot` call would not."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

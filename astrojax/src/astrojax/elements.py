@@ -6,7 +6,7 @@ Elliptic orbits only (0 <= e < 1). Lengths in metres, angles in radians, `gm` in
 import jax
 import jax.numpy as jnp
 
-from astrojax._types import FloatScalar, Scalar, Vector6, cross, dot, inverse_norm, safe_sqrt
+from astrojax._types import FloatScalar, Scalar, Vector6, cross, dot, float_dtype, inverse_norm, safe_sqrt
 from astrojax.constants import GM_EARTH
 
 _TWO_PI = 6.283185307179586
@@ -50,7 +50,7 @@ def solve_kepler(mean_anomaly: Scalar, e: Scalar) -> FloatScalar:
 
     Source: Danby, Fundamentals of Celestial Mechanics, 2nd ed., sec. 6.6 (quartic iteration and starting value).
     """
-    dtype = jnp.result_type(mean_anomaly, e, 1.0)
+    dtype = float_dtype(mean_anomaly, e)
     return _solve_kepler(jnp.asarray(mean_anomaly, dtype), jnp.asarray(e, dtype))
 
 

@@ -6,7 +6,7 @@ RTN axes: R along the position, N along the orbital angular momentum, T = N x R 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from astrojax._types import Matrix3, Scalar, Vector3, Vector6, cross, dot, inverse_norm
+from astrojax._types import Matrix3, Scalar, Vector3, Vector6, cross, dot, float_dtype, inverse_norm
 
 
 def rotation_eci_to_rtn(state: Vector6) -> Matrix3:
@@ -100,7 +100,7 @@ def stm_hcw(n: Scalar, dt: Scalar) -> Float[Array, "6 6"]:
     Source: closed-form solution, Alfriend et al., Spacecraft Formation Flying (2010), ch. 5; its differences such
     as n t - sin(n t), which cancel for short steps, are summed as series.
     """
-    dtype = jnp.result_type(n, dt, 1.0)
+    dtype = float_dtype(n, dt)
     n, t = jnp.asarray(n, dtype), jnp.asarray(dt, dtype)
     x = n * t
     s, c = jnp.sin(x), jnp.cos(x)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from astrojax import constants as c
-from astrojax._types import FloatScalar, Scalar
+from astrojax._types import FloatScalar, Scalar, float_dtype
 
 _TURN = 2.0 * math.pi
 _J2000_DAY = 51544  # J2000.0 is noon of this day
@@ -52,7 +52,7 @@ def normalize_epoch(day: Scalar, seconds: Scalar) -> tuple[FloatScalar, FloatSca
         day: whole MJD.
         seconds: seconds since the start of that day, of any sign and size.
     """
-    dtype = _epoch_dtype(day, seconds)
+    dtype = float_dtype(day, seconds)
     day, seconds = jnp.asarray(day, dtype), jnp.asarray(seconds, dtype)
     carry = jnp.floor(seconds / c.SECONDS_PER_DAY)
     seconds = seconds - carry * c.SECONDS_PER_DAY
@@ -94,7 +94,7 @@ def gmst(day: Scalar, seconds: Scalar) -> FloatScalar:
 
     Source: IERS Conventions (2010), TN 36, sec. 5.5: the Earth rotation angle (eq. 5.15) and GMST (eq. 5.32).
     """
-    dtype = _epoch_dtype(day, seconds)
+    dtype = float_dtype(day, seconds)
     seconds = jnp.asarray(seconds, dtype)
     # A whole turn a day drops out of the whole days before anything is rounded.
     angle = 0.7790572732640 - 0.5 + _cycles(day, 0.00273781191135448, dtype)
@@ -105,13 +105,9 @@ def gmst(day: Scalar, seconds: Scalar) -> FloatScalar:
     return _TURN * (angle - jnp.floor(angle))
 
 
-def _epoch_dtype(day: Scalar, seconds: Scalar) -> jnp.dtype:
-    return jnp.result_type(day, seconds, 1.0)
-
-
 def _since_j2000_tt(day: Scalar, seconds: Scalar) -> tuple[FloatScalar, FloatScalar]:
     """Whole days and seconds of TT since J2000.0 (the seconds within a day and a half of zero)."""
-    dtype = _epoch_dtype(day, seconds)
+    dtype = float_dtype(day, seconds)
     days = jnp.asarray(day - _J2000_DAY, dtype)
     return days, jnp.asarray(seconds, dtype) + (c.TT_MINUS_UTC - 0.5 * c.SECONDS_PER_DAY)
 
@@ -140,7 +136,7 @@ def phase(day: Scalar, seconds: Scalar, degrees: float, degrees_per_century: flo
         degrees_per_century: rate [deg per Julian century of TT], below half a turn a day.
     """
     turns_per_day = degrees_per_century / 360.0 / c.DAYS_PER_CENTURY
-    dtype = _epoch_dtype(day, seconds)
+    dtype = float_dtype(day, seconds)
     _, seconds_tt = _since_j2000_tt(day, seconds)
     turns = degrees / 360.0 + _cycles(day, turns_per_day, dtype)
     turns = turns + seconds_tt * (turns_per_day / c.SECONDS_PER_DAY)

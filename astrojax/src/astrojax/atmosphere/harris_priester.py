@@ -111,7 +111,7 @@ def density_harris_priester(r: Vector3, r_sun: Vector3, exponent: Scalar = 6) ->
     index = jnp.clip(jnp.floor(layer_float), 0, len(_LAYERS) - 1).astype(jnp.int32)
     inside = layer_float < (_CEILING - _FLOOR) / _LAYER
     # Held at sea level below and at the ceiling above, before the exponential sees it.
-    fraction = jnp.clip(layer_float, -_FLOOR / _LAYER, (_CEILING - _FLOOR) / _LAYER) - index
+    fraction = jnp.clip(layer_float, -_FLOOR / _LAYER, (_CEILING - _FLOOR) / _LAYER) - index.astype(r.dtype)
     row = jnp.asarray(_LAYERS, dtype=r.dtype)[index]
     low = jnp.exp(row[0] + row[1] * fraction)
     high = jnp.exp(row[2] + row[3] * fraction)

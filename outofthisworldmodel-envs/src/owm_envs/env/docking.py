@@ -253,7 +253,7 @@ class DockingEnv:
         """
         own = episode_params(params, state.drawn)
         was_running = state.outcome == Outcome.RUNNING
-        count = state.count + was_running
+        count = state.count + was_running.astype(state.count.dtype)
         late = (ended.outcome == Outcome.RUNNING) & (count >= own.horizon_steps)
         ended = ended._replace(count=count, outcome=jnp.where(late, Outcome.TIMEOUT, ended.outcome).astype(jnp.int32))
         if state.bias is not None:

@@ -176,7 +176,7 @@ class FleetEnv:
             after = _where_running(self._axes, running & sound, after, now)
             # Two that have both ended are at rest: nothing new can happen between them.
             apart = self._separations(params, now.view, after.view)
-            nearest = jnp.min(jnp.where(running[:, None] | running, apart, jnp.inf), axis=1)
+            nearest = jnp.min(jnp.where(running[:, None] | running[None], apart, jnp.inf), axis=1)
             hit = nearest <= 0
             ends = hit & running & self.config.collision_terminates
             after = after._replace(
@@ -236,7 +236,7 @@ class FleetEnv:
         relative = seen[others] - seen[:, None]
         view = jax.vmap(look)(chasers.noise_key, chasers.count, relative)
         if self.config.normalize:
-            view = view / jnp.asarray(VIEW_SCALE[:6], view.dtype)
+            view = view / jnp.asarray(VIEW_SCALE[None, None, :6], view.dtype)
         view = view.reshape(self.num_chasers, -1).astype(jnp.float32)
         return {**own, STATE: jnp.concatenate([own[STATE], view], axis=1)}
 
@@ -244,7 +244,7 @@ class FleetEnv:
 def assign_ports(choices: Int[Array, "C"], ports: Int[Array, "N"], *, key: Key[Array, ""]) -> Int[Array, "N"]:
     """Replace each negative port by one of `choices` that nobody has, drawn uniformly without replacement."""
     shuffled = jax.random.permutation(key, choices)
-    taken = jnp.any(shuffled[:, None] == ports, axis=1)
+    taken = jnp.any(shuffled[:, None] == ports[None], axis=1)
     free = shuffled[jnp.argsort(taken, stable=True)]
     wanting = ports < 0
     return jnp.where(wanting, free[jnp.cumsum(wanting) - 1], ports).astype(jnp.int32)
@@ -260,7 +260,7 @@ def _separate_starts(params: Params, episode_keys: Key[Array, "N"], ports: Int[A
     position = sets.view[..., :3]
     squared = jnp.sum((position[:, :, None] - position[:, None]) ** 2, axis=-1)
     oneself = jnp.eye(ports.size, dtype=bool)
-    nearest = jnp.min(jnp.where(oneself, jnp.inf, squared), axis=(1, 2))
+    nearest = jnp.min(jnp.where(oneself[None], jnp.inf, squared), axis=(1, 2))
     # The first of the greatest: all that are far enough apart are equally good.
     chosen = jnp.argmax(jnp.minimum(nearest, START_SEPARATION**2))
     return jax.tree.map(lambda leaf: leaf[chosen], sets)

@@ -120,16 +120,16 @@ def _corners(field: GeodesicField, position: Float[Array, "3"]) -> tuple[Array, 
     position = position - excess
     fine = jnp.all((position >= field.origins[0]) & (position <= upper[0]))
     shape = jnp.where(fine, field.shapes[0], field.shapes[1])
-    start = jnp.where(fine, 0, jnp.prod(field.shapes[0]))
+    start = jnp.where(fine, 0, jnp.prod(field.shapes[0], dtype=field.shapes.dtype))
     scaled = (position - jnp.where(fine, field.origins[0], field.origins[1])) / jnp.where(
         fine, field.spacings[0], field.spacings[1]
     )
     cell = jnp.clip(scaled.astype(field.shapes.dtype), 0, shape - 2)
     upper_weight = scaled - cell.astype(scaled.dtype)
     offsets = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
-    index = cell + offsets.astype(np.int32)
+    index = cell[None] + offsets.astype(np.int32)
     index = start + (index[:, 0] * shape[1] + index[:, 1]) * shape[2] + index[:, 2]
-    weights = jnp.prod(jnp.where(offsets == 1, upper_weight, 1.0 - upper_weight), axis=-1)
+    weights = jnp.prod(jnp.where(offsets == 1, upper_weight[None], 1.0 - upper_weight[None]), axis=-1)
     return index, weights, excess
 
 

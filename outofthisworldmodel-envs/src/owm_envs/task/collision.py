@@ -126,14 +126,15 @@ def swept_distance(start: Float[Array, "3"], end: Float[Array, "3"], box: Float[
     """
     travel = end - start
     moving = jnp.abs(travel) > 0
-    kinks = jnp.where(moving, jnp.clip((box - start) / jnp.where(moving, travel, 1), 0, 1), 0).reshape(6)
+    divisor = jnp.where(moving, travel, 1)
+    kinks = jnp.where(moving[None], jnp.clip((box - start[None]) / divisor[None], 0, 1), 0).reshape(6)
     times = jnp.sort(jnp.concatenate([kinks, jnp.asarray([0, 1], kinks.dtype)]))
 
     def outside(t):
-        point = start + t[..., None] * travel
+        point = start + t * travel
         return jnp.minimum(point - box[0], 0) + jnp.maximum(point - box[1], 0)
 
-    slope = jnp.sum(outside(times) * travel, axis=-1)
+    slope = jnp.sum(jax.vmap(outside)(times) * travel[None], axis=-1)
     before = jnp.clip(jnp.sum(slope <= 0) - 1, 0, 6)
     low, high = slope[before], slope[before + 1]
     rise = high - low

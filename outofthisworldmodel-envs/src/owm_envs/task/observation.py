@@ -64,7 +64,7 @@ class ObservationLayout:
         parts.append(measured / jnp.asarray(VIEW_SCALE, measured.dtype) if self.normalize else measured)
         if self.has_goal_error:
             parts.append(error / jnp.asarray(ERROR_SCALE, error.dtype) if self.normalize else error)
-        return jnp.concatenate(parts).astype(jnp.float32)
+        return jnp.concatenate([part.astype(jnp.float32) for part in parts])
 
     def measured_view(self, observation: Observation) -> Float[Array, "... 13"]:
         """The measured relative view of an observation in SI units; NumPy in, NumPy out."""

@@ -59,7 +59,7 @@ def episode_params(params: Params, drawn: Drawn | None) -> Params:
         chaser=chaser._replace(
             mass=chaser.mass * drawn.mass_scale,
             # Both sides, so that an inertia with products stays symmetric and positive definite.
-            inertia=root[:, None] * chaser.inertia * root,
+            inertia=root[:, None] * chaser.inertia * root[None],
             thrust_scale=chaser.thrust_scale * drawn.thrust_scale,
             misalignment=quat_to_rotation_vector(turn),
             actuation_delay=chaser.actuation_delay + drawn.actuation_delay,

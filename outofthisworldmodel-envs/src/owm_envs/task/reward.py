@@ -45,7 +45,7 @@ def reward(
         + w["progress"] * (distance - previous_distance) / w["sigma_position"]
         + near * (w["proximity"] + w["alignment"] * jnp.exp(-angle / w["sigma_alignment"]))
         + w["effort"] * summed(effort)
-        + w["collision"] * collided
-        + w["dock"] * docked
-        + w["escape"] * escaped
+        + w["collision"] * collided.astype(distance.dtype)
+        + w["dock"] * docked.astype(distance.dtype)
+        + w["escape"] * escaped.astype(distance.dtype)
     )
