@@ -5,8 +5,11 @@ import sys
 import warnings
 from pathlib import Path
 
+import gymnasium
+import jax
 import numpy as np
 import pytest
+import torch
 from gymnasium import Wrapper
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO, SAC
@@ -90,6 +93,21 @@ def test_numbers_and_terminal_observations_are_the_native_batch_s(venv):
                 assert infos[slot] == {"TimeLimit.truncated": False}
     assert ends == 2 * SLOTS
     assert venv.get_attr("traces")[0]["step"] == 1
+
+
+@pytest.mark.parametrize("sensors", [(), SENSORS], ids=["array", "dict"])
+@pytest.mark.parametrize("batch", [False, True], ids=["scalar", "vector"])
+def test_gymnasium_s_wrappers_convert_all_to_torch(batch, sensors):
+    make = {"config": {"fidelity": "iss-hcw", "horizon": 0.1}, "sensors": sensors}
+    if batch:
+        env = gymnasium.wrappers.vector.NumpyToTorch(gymnasium.make_vec("ISSHCW-v0", num_envs=2, **make))
+    else:
+        env = gymnasium.wrappers.NumpyToTorch(gymnasium.make("ISSHCW-v0", **make))
+    observation, info = env.reset(seed=0)
+    for _ in range(3):
+        leaves = jax.tree.leaves((observation, info))
+        assert leaves and all(isinstance(leaf, torch.Tensor) for leaf in leaves)
+        observation, *_, info = env.step(torch.zeros(env.action_space.shape))
 
 
 def test_a_second_sensor_makes_observations_dicts():
