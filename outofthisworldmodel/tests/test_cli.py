@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 from owm import cli
 from owm.baselines.least_squares import LeastSquares
 from owm.catalogue.policies import GIVEN, NAMES, differences, kind_of, load_model
+from owm.catalogue.predictors import NAMED
 from owm.checkpoint import save_world_model
 from owm.motion.linear import LinearMap
 from owm.scores.docking import evaluation_config
@@ -175,9 +177,24 @@ def test_models_are_found_by_name_and_by_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("command", "names"), [("fly", (*NAMES, "pretrained")), ("evaluate prediction", (*NAMED, "pretrained"))]
+)
+def test_help_lists_every_name(command, names, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([*command.split(), "--help"])
+    told = re.sub(r"[\s│]+", "", capsys.readouterr().out)
+    assert not [name for name in names if name not in told]
+
+
+@pytest.mark.parametrize(
     ("command", "said"),
     [
         ("fly --policy pretraned", "did you mean 'pretrained'?"),
+        ("fly --policy runs/mine", "there is no checkpoint at 'runs/mine'"),
+        ("fly --policy mine", "unknown policy 'mine'; known: dock, "),
+        ("evaluate prediction nomodel --data d", "unknown predictor 'nomodel'; known: constant-velocity, "),
+        ("evaluate prediction exakt --data d", "unknown predictor 'exakt'; did you mean 'exact'?"),
+        ("evaluate prediction dock --data d", "unknown predictor 'dock'; known: "),
         ("fly --seed -1", "seed must be an integer of at least 0, got -1"),
         ("fly --out FILE", "is no folder"),
         ("evaluate docking dock --ports zvezda", "did you mean 'zvezda_aft'?"),

@@ -26,6 +26,13 @@ class CheckpointError(ValueError):
     """A checkpoint is missing, damaged, or belongs to something else."""
 
 
+class NoCheckpointError(CheckpointError, FileNotFoundError):
+    """Nothing is there."""
+
+    def __init__(self, source: str | os.PathLike, reason: str = "config.json is missing"):
+        super().__init__(f"there is no checkpoint at {os.fspath(source)!r}: {reason}")
+
+
 class Contents(NamedTuple):
     """What a model is made of, and is made from again."""
 
@@ -96,7 +103,7 @@ def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) ->
     """
     path = Path(path)
     if not (path / "config.json").is_file():
-        raise CheckpointError(f"no world model at {path}: config.json is missing")
+        raise NoCheckpointError(path)
     try:
         header = json.loads((path / "config.json").read_text(encoding="utf-8"))
         version, kind, digests = header["format"], header["kind"], header["sha256"]

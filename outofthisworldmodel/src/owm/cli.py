@@ -117,7 +117,8 @@ def evaluate_prediction(
     Constant velocity, least squares, the Kalman filter and the exact dynamics are scored beside them.
 
     Args:
-        models: Folders of checkpoints, or constant-velocity, least-squares, least-squares-action-only, ekf, exact.
+        models: Folders of checkpoints, pretrained, user/name on the hub, or constant-velocity, least-squares,
+            least-squares-action-only, ekf, exact.
         data: Datasets to predict.
         split: Their split; by default the flights that training sets aside.
         windows: Windows of behaviour and of planner-style flights in each dataset.

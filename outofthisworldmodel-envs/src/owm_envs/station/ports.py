@@ -1,10 +1,11 @@
 """The eight docking ports of the station and the poses the chaser is asked to hold in front of them."""
 
-import difflib
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from owm_envs.words import unknown
 
 
 class Port(NamedTuple):
@@ -51,9 +52,7 @@ def port_index(name: str) -> int:
     """
     if name in PORT_NAMES:
         return PORT_NAMES.index(name)
-    nearest = difflib.get_close_matches(str(name), PORT_NAMES, n=1, cutoff=0.4)
-    hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
-    raise ValueError(f"unknown port {name!r}{hint} known: {', '.join(PORT_NAMES)}")
+    raise ValueError(unknown("port", name, PORT_NAMES))
 
 
 def docked_attitude(normal: tuple[float, float, float]) -> Float[np.ndarray, "4"]:

@@ -1,14 +1,12 @@
 """Every policy by the name that commands and reports use, and what each of them is given."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.catalogue.hub import PRETRAINED, is_repository, local_folder
+from owm.catalogue import hub
 from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
-from owm_envs.words import unknown
 
 
 class Given(NamedTuple):
@@ -111,24 +109,19 @@ def kind_of(policy: str) -> str:
         if start not in _ONLINE:
             raise ValueError(f"{ONLINE_PREFIX} needs a model with a linear part ({', '.join(_ONLINE)}), got a {start}")
         return _ONLINE[start]
-    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
-        header = checkpoint_folder(policy) / "config.json"
-        try:
-            found = json.loads(header.read_text(encoding="utf-8"))
-            kind = found["kind"]
-            if kind == "ppo":
-                return "ppo-field" if found["about"]["observe_field"] else "ppo"
-            if kind == "learned" and found.get("config", {}).get("stream") == "latent":
-                kind = "latent"
-        except (OSError, ValueError, KeyError, TypeError):
-            raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
-        if kind not in _KINDS:
-            raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
-        return _KINDS[kind]
-    if any(mark in policy for mark in (os.sep, "/", ".")):
-        raise FileNotFoundError(f"there is no checkpoint at {policy!r}")
-    known = (*NAMES, PRETRAINED.name)
-    raise ValueError(unknown("policy", policy, known) + " Or the folder of a checkpoint, or its name on the hub.")
+    header = checkpoint_folder(policy) / "config.json"
+    try:
+        found = json.loads(header.read_text(encoding="utf-8"))
+        kind = found["kind"]
+        if kind == "ppo":
+            return "ppo-field" if found["about"]["observe_field"] else "ppo"
+        if kind == "learned" and found.get("config", {}).get("stream") == "latent":
+            kind = "latent"
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
+    if kind not in _KINDS:
+        raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
+    return _KINDS[kind]
 
 
 def _folder(policy: str) -> str:
@@ -137,10 +130,8 @@ def _folder(policy: str) -> str:
 
 
 def checkpoint_folder(path: str) -> Path:
-    """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
-    folder = local_folder(path)
-    inside = (folder / part for part in ("model", "policy"))
-    return next((part for part in inside if (part / "config.json").is_file()), folder)
+    """The folder of a policy's checkpoint, as `owm.catalogue.hub.checkpoint_folder` finds it."""
+    return hub.checkpoint_folder(path, "policy", NAMES)
 
 
 def load_policy(
@@ -223,6 +214,17 @@ def _short(values: list[Any]) -> str:
     return ", ".join(dict.fromkeys(texts))
 
 
+def read_model(folder: Path, name: str, config: DockingConfig) -> Any:
+    """The world model in a checkpoint's folder; says how what it was trained on differs from what it is used in."""
+    from owm.catalogue.checkpoint import load_world_model
+    from owm.console import announce
+
+    model = load_world_model(folder)
+    for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
+        announce(f"note: {name} {text}")
+    return model
+
+
 def load_model(policy: str, config: DockingConfig) -> Any:
     """The world model behind "oracle-mppi" or a checkpoint.
 
@@ -240,11 +242,5 @@ def load_model(policy: str, config: DockingConfig) -> Any:
 
         return ConstantVelocity()
     if is_planned(kind):
-        from owm.catalogue.checkpoint import load_world_model
-        from owm.console import announce
-
-        folder = checkpoint_folder(_folder(policy))
-        for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
-            announce(f"note: {policy} {text}")
-        return load_world_model(folder)
+        return read_model(checkpoint_folder(_folder(policy)), policy, config)
     raise ValueError(f"policy {policy!r} has no world model")

@@ -13,6 +13,7 @@ from owm.scores.flights import Flights, join
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
+from owm_envs.words import unknown
 
 SHELLS: dict[str, tuple[float, float]] = {"100-125": (100.0, 125.0), "100-225": (100.0, 225.0)}
 """Start shells of the two tables, m: the paper's for reinforcement learning, and all starts."""
@@ -44,7 +45,7 @@ def evaluation_config(shell: str = "100-225", **overrides: Any) -> DockingConfig
         ValueError: the shell or a field is unknown.
     """
     if shell not in SHELLS:
-        raise ValueError(f"unknown shell {shell!r}; known: {', '.join(SHELLS)}")
+        raise ValueError(unknown("shell", shell, SHELLS))
     low, high = SHELLS[shell]
     standard = {
         "noise": "cooperative",
