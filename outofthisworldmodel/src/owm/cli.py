@@ -1,13 +1,15 @@
 """The `owm` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
+import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from owm import __version__
 from owm_envs import shell
+from owm_envs.words import checked_seed, mistakes
 
 Shell = Literal["100-225", "100-125"]
 
@@ -37,6 +39,7 @@ def fly(
         env: iss, iss-hcw or iss-numerical.
         out: Folder for CSV, JSON and picture.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import fly as run
 
@@ -69,6 +72,7 @@ def evaluate_docking(
         fresh: Fly again what OUT holds of other settings.
         processes: That fly, as for `owm evaluate matrix`.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import evaluate_docking as run
 
@@ -127,6 +131,7 @@ def evaluate_prediction(
         seed: Decides the windows.
         out: Folder for JSON and pictures.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.catalogue.predictors import evaluate_prediction as run
 
@@ -160,6 +165,7 @@ def demo(
         seed: Decides everything random.
         fresh: Start over, whatever is there.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.commands.demo import demo as run
 
@@ -172,13 +178,14 @@ def _train(preset: str):
     from owm.training.config import PRESETS, TrainConfig
 
     start_from = preset if preset in PRESETS else "nano"
+    flags = _flags(PRESETS[start_from])
 
     def train(
         data: tuple[Path, ...],
         out: Path,
         preset: Literal[*PRESETS] = start_from,
         wandb: str | None = None,
-        config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+        config: tyro.conf.OmitArgPrefixes[type(flags)] = flags,
     ) -> None:
         """Train a world model; a killed run is resumed by the same command.
 
@@ -190,11 +197,12 @@ def _train(preset: str):
             config: The run.
         """
         del preset
+        checked = _checked(TrainConfig, config)
         _compilation_cache()
-        _cpu_devices(config.devices)
+        _cpu_devices(checked.devices)
         from owm.commands.run import train as run
 
-        run(data, out, config, wandb)
+        run(data, out, checked, wandb)
 
     return train
 
@@ -204,11 +212,12 @@ def _train_ppo(preset: str):
     from owm.baselines.ppo.config import PRESETS, PPOConfig
 
     start_from = preset if preset in PRESETS else "paper"
+    flags = _flags(PRESETS[start_from])
 
     def train_ppo(
         out: Path,
         preset: Literal[*PRESETS] = start_from,
-        config: Annotated[PPOConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+        config: tyro.conf.OmitArgPrefixes[type(flags)] = flags,
     ) -> None:
         """Train the PPO baseline in Stable-Baselines3; a killed run is resumed by the same command.
 
@@ -218,12 +227,40 @@ def _train_ppo(preset: str):
             config: The run.
         """
         del preset
+        checked = _checked(PPOConfig, config)
         _compilation_cache()
         from owm.commands.run import train_ppo as run
 
-        run(out, config)
+        run(out, checked)
 
     return train_ppo
+
+
+def _flags(config: Any) -> Any:
+    """A configuration as a dataclass that takes anything: the parser would tell of mistakes in pydantic's words."""
+    fields = []
+    for name, field in type(config).model_fields.items():
+        value, kind = getattr(config, name), field.annotation
+        if hasattr(type(value), "model_fields"):
+            value = _flags(value)
+            kind = type(value)
+        described = Annotated[kind, tyro.conf.arg(help=field.description)]
+        fields.append((name, described, dataclasses.field(default=value)))
+    return dataclasses.make_dataclass(type(config).__name__, fields, frozen=True)()
+
+
+def _checked(kind: Any, flags: Any) -> Any:
+    """The configuration that flags ask for.
+
+    Raises:
+        ValueError: it is none, in our words.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return kind.model_validate(dataclasses.asdict(flags))
+    except ValidationError as error:
+        raise ValueError(mistakes(error, kind)) from None
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -51,3 +51,16 @@ class WorldModel(Protocol):
 
     def decode(self, params: PyTree, state: Any) -> dict[str, Array]:
         """Read a state out as `{stream: value}`; the stream `"state"` is the 13-number view in the station frame."""
+
+
+def check_complete(model: Any) -> None:
+    """Refuse what is no world model.
+
+    Raises:
+        TypeError: naming what it lacks of `WorldModel`.
+    """
+    wanted = ("name", "history_length", "dt", "params", "encode", "step", "observe", "decode")
+    if lacking := [part for part in wanted if not hasattr(model, part)]:
+        raise TypeError(
+            f"the world model {type(model).__name__} lacks {', '.join(lacking)} (see owm.interface.WorldModel)"
+        )

@@ -10,12 +10,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from owm_envs.adapters.batch import BatchProgram
-from owm_envs.adapters.seeds import checked_seed, drawn_seed, slot_seeds
+from owm_envs.adapters.seeds import drawn_seed, slot_seeds
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics, require_dynamics
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import Outcome
-from owm_envs.words import unknown
+from owm_envs.words import checked_seed, unknown
 
 _PORTS = np.array(PORT_NAMES)
 _OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])

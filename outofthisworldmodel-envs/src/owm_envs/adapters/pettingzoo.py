@@ -13,13 +13,13 @@ from gymnasium import spaces
 from owm_envs.adapters.batch import state_from_host, state_to_host
 from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.gymnasium import RENDER_MODES, _named
-from owm_envs.adapters.seeds import checked_seed, drawn_seed, seed_keys
+from owm_envs.adapters.seeds import drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
 from owm_envs.env import FleetEnv, FleetState
 from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
-from owm_envs.words import unknown
+from owm_envs.words import checked_seed, unknown
 
 try:
     from pettingzoo import AECEnv, ParallelEnv

@@ -6,11 +6,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from owm_envs.flags import own_flags
 from owm_envs.policies.base import ScriptedPolicy
-from owm_envs.station import goal_poses, port_index
+from owm_envs.station import port_indices
+from owm_envs.words import checked_seed
 
 
 class VectorPolicy:
@@ -24,30 +25,37 @@ class VectorPolicy:
     def __init__(self, policy: ScriptedPolicy, *, seed: int = 0):
         self.policy = policy
         self.name = policy.name
-        self._seed = seed
+        self._seed = checked_seed(seed, bits=32)
         self._ports: np.ndarray | None = None
+        self._common: np.integer | None = None  # port of every slot, until a batch shows how many there are
         self._episodes: np.ndarray | None = None
         self._pending: np.ndarray | None = None
         self._state: Any = None
 
     def reset(
-        self, mask: Bool[np.ndarray, "B"] | None = None, ports: Sequence[str | int] | np.ndarray | None = None
+        self,
+        mask: Bool[np.ndarray, "B"] | None = None,
+        ports: str | int | Sequence[str | int] | np.ndarray | None = None,
     ) -> None:
         """Announce new episodes: their slots start afresh at the next `predict`.
 
         Args:
             mask: slots whose episode begins; all when None.
-            ports: assigned port of every slot, as names (`info["port"]`) or indices, read where `mask` is True; the
-                ones known so far when None.
+            ports: assigned port of every slot, as names (`info["port"]`) or indices, read where `mask` is True; a
+                single one is that of all; the ones known so far when None.
 
         Raises:
             ValueError: shapes disagree, a port is unknown, or no ports were ever given.
         """
         if ports is None:
-            if self._ports is None:
+            if self._ports is None and self._common is None:
                 raise ValueError("ports must be given on the first reset: one port index for each slot")
-            ports = self._ports
-        ports = _port_indices(ports)
+            ports = self._ports if self._common is None else self._common
+        if np.ndim(ports) == 0 and mask is None:
+            (self._common,) = port_indices(ports)
+            return
+        self._common = None
+        ports = port_indices(ports, np.size(mask) if np.ndim(ports) == 0 else None)
         mask = np.ones(ports.shape, bool) if mask is None else np.atleast_1d(np.asarray(mask, bool))
         fresh = self._ports is None or (mask.all() and mask.shape == ports.shape != self._ports.shape)
         if fresh:
@@ -85,11 +93,13 @@ class VectorPolicy:
             ValueError: `reset` never told the ports, or the shape is wrong.
         """
         del deterministic
-        if self._ports is None:
-            raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
         observation = np.asarray(observation, np.float32)
         single = observation.ndim == 1
         batch = observation[None] if single else observation
+        if self._common is not None:
+            self.reset(ports=np.full(len(batch), self._common))
+        if self._ports is None:
+            raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
         expected = (self._ports.size, self.policy.layout.size)
         if batch.shape != expected:
             raise ValueError(f"observation must have shape {expected}, got {observation.shape}")
@@ -106,16 +116,6 @@ class VectorPolicy:
         self._pending = np.zeros_like(self._pending)
         actions = np.asarray(actions, np.float32)
         return (actions[0] if single else actions), self._state
-
-
-def _port_indices(ports: Sequence[str | int] | np.ndarray) -> Int[np.ndarray, "B"]:
-    values = np.atleast_1d(np.asarray(ports))
-    if values.dtype.kind in "UO":
-        values = np.array([port_index(str(name)) for name in values])
-    count = len(goal_poses())
-    if values.ndim != 1 or values.dtype.kind not in "iu" or (values < 0).any() or (values >= count).any():
-        raise ValueError(f"ports must be a name or an index from 0 to {count - 1} for each slot, got {values.tolist()}")
-    return values.astype(np.int32)
 
 
 @jax.jit

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from owm.catalogue import hub
-from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
+from owm_envs.words import checked_seed
 
 
 class Given(NamedTuple):
@@ -157,8 +157,7 @@ def load_policy(
         FileNotFoundError: there is nothing at the path.
     """
     kind = kind_of(policy)
-    if checked_seed(seed) >= 2**32:
-        raise ValueError(f"a policy's seed must be below 2**32, got {seed}")
+    checked_seed(seed, bits=32)
     from owm_envs.env import DockingEnv
     from owm_envs.policies import VectorPolicy, make_policy
 

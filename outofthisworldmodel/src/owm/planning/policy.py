@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from astrojax.compilation import compiler_options
-from owm.interface import History, WorldModel
+from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, init_planner, plan
-from owm_envs.config import DockingConfig
 from owm_envs.cores import workers
-from owm_envs.env import DockingEnv
+from owm_envs.env import docking_env
 from owm_envs.field import GeodesicField, field_rows
 from owm_envs.flags import own_flags
-from owm_envs.station import PORT_NAMES, goal_poses, port_index
+from owm_envs.station import PORT_NAMES, goal_poses, port_indices
+from owm_envs.words import checked_seed
 
 
 class Learner(Protocol):
@@ -65,9 +65,10 @@ class PlannerPolicy:
         model: a world model; its `precision`, "float32" unless it says otherwise, decides in which mode it
             runs.
         field: geodesic field that covers the ports to be flown, from `owm_envs.field.load_field`.
-        env: the environment to be flown, or its configuration: layout, wrench limits, decision rate.
+        env: the environment to be flown, pure or Gymnasium's, or its configuration: layout, wrench limits, decision
+            rate.
         config: the planner's.
-        num_slots: episodes flown side by side.
+        num_slots: episodes flown side by side; as many as the environment has when None.
         learner: replaces the model's parameters by those it finds in flight.
         seed: decides every draw; each slot has keys of its own, the same ones in every episode.
 
@@ -79,19 +80,22 @@ class PlannerPolicy:
 
     Raises:
         ValueError: the environment's decision rate is not the model's.
+        TypeError: the model lacks a part of `WorldModel`, or `env` is no environment.
     """
 
     def __init__(
         self,
         model: WorldModel,
         field: GeodesicField,
-        env: DockingEnv | DockingConfig,
+        env: Any,
         config: PlannerConfig | None = None,
-        num_slots: int = 1,
+        num_slots: int | None = None,
         seed: int = 0,
         learner: Learner | None = None,
     ):
-        env = env if isinstance(env, DockingEnv) else DockingEnv(env)
+        check_complete(model)
+        num_slots = getattr(env, "num_envs", 1) if num_slots is None else num_slots
+        env = docking_env(env)
         if not np.isclose(env.config.decision_dt, model.dt):
             raise ValueError(
                 f"the environment must take one action every {model.dt} s, the step of the model "
@@ -108,7 +112,7 @@ class PlannerPolicy:
         self.active = np.ones(num_slots, bool)
         self.seconds: list[float] = []
         self._learner = learner
-        self._seed = np.uint32(seed)
+        self._seed = np.uint32(checked_seed(seed, bits=32))
         self._wide = getattr(model, "precision", "float32") == "float64"
         self._tuning = self.config.tuning(env.layout.wrench_limit)
         self._goals = goal_poses().astype(np.float32)
@@ -144,14 +148,14 @@ class PlannerPolicy:
     def reset(
         self,
         mask: Bool[np.ndarray, "B"] | None = None,
-        ports: Int[np.ndarray, "B"] | Sequence[int | str] | None = None,
+        ports: str | int | Int[np.ndarray, "B"] | Sequence[int | str] | None = None,
     ) -> None:
         """Announce new episodes: their slots forget everything and start afresh at the next `predict`.
 
         Args:
             mask: slots whose episode begins; all when None.
-            ports: assigned port of every slot, by name or index (read where `mask` is True); the ones known so
-                far when None.
+            ports: assigned port of every slot, by name or index (read where `mask` is True); a single one is that of
+                all; the ones known so far when None.
 
         Raises:
             ValueError: a shape is not (num_slots,), a port is out of range or not in the field, or no ports
@@ -162,12 +166,8 @@ class PlannerPolicy:
         if mask.shape != expected:
             raise ValueError(f"mask must have shape {expected}, got {mask.shape}")
         if ports is not None:
-            ports = np.atleast_1d([port_index(p) if isinstance(p, str) else p for p in ports])
-            if ports.shape != expected:
-                raise ValueError(f"ports must have shape {expected}, got {ports.shape}")
+            ports = port_indices(ports, self.num_slots)
             wanted = ports[mask]
-            if not np.isin(wanted, np.arange(len(PORT_NAMES))).all():
-                raise ValueError(f"ports must be indices from 0 to {len(PORT_NAMES) - 1}, got {wanted.tolist()}")
             missing = {PORT_NAMES[port] for port in wanted if self._rows[port] < 0}
             if missing:
                 raise ValueError(f"the geodesic field does not cover {', '.join(sorted(missing))}: load it for them")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from owm.data.windows import Windows, history_of
-from owm.interface import History, WorldModel
+from owm.interface import History, WorldModel, check_complete
 from owm.motion.kinematics import view_error
 
 QUANTITIES = ("position_m", "velocity_mps", "attitude_deg", "rate_degps")
@@ -104,7 +104,9 @@ def prediction_error(
 
     Raises:
         ValueError: if the windows are too short or there are none.
+        TypeError: the model lacks a part of `WorldModel`.
     """
+    check_complete(model)
     length = model.history_length + max(horizons)
     count = check_windows(windows, length)
     context = model.history_length if context is None else context
