@@ -1,12 +1,18 @@
 """Every policy by the name that commands and reports use, and what each of them is given."""
 
+import importlib
+import inspect
 import json
+import os
+import re
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from owm.catalogue import hub
 from owm_envs.config import DockingConfig
-from owm_envs.words import checked_seed
+from owm_envs.words import checked_seed, unknown
 
 
 class Given(NamedTuple):
@@ -72,6 +78,7 @@ GIVEN: dict[str, Given] = {
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
+    "user's own": Given(*["not told"] * 7),
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
@@ -80,12 +87,52 @@ NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 ONLINE_PREFIX = "online:"
 """Before the folder of a model whose linear part is to be fitted again in flight."""
 _ONLINE = {"least-squares": "least-squares-online", "world model": "world model, online"}
+_OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
+"""A user's class, `module:Class`."""
 _KINDS = {
     "learned": "world model",
     "latent": "latent world model",
     "least_squares": "least-squares",
     "constant_velocity": "constant-velocity",
 }
+
+
+def own_class(policy: str) -> Callable[..., Any]:
+    """The class, or function that makes a policy, behind `module:Class`, looked for in the current folder too.
+
+    Raises:
+        ImportError: there is no such module, or it cannot be imported.
+        ValueError: it has no such class, naming the nearest.
+    """
+    parts = _OWN.fullmatch(policy)
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        module = importlib.import_module(parts["module"])
+    except ImportError as error:
+        raise ImportError(f"policy {policy!r} cannot be imported: {error}") from error
+    if not callable(made := getattr(module, parts["name"], None)):
+        classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
+        raise ValueError(unknown(f"class of {parts['module']}", parts["name"], classes))
+    return made
+
+
+def _own_policy(policy: str, **told: Any) -> Any:
+    """A user's policy, made with those of `config`, `num_slots` and `seed` that its class takes.
+
+    Raises:
+        ValueError: the class needs something else, or what it makes is no policy.
+    """
+    made = own_class(policy)
+    taken = inspect.signature(made).parameters
+    everything = any(each.kind is each.VAR_KEYWORD for each in taken.values())
+    try:
+        flown = made(**{name: value for name, value in told.items() if everything or name in taken})
+    except TypeError as error:
+        raise ValueError(f"policy {policy!r} is made with {', '.join(told)} or some of them: {error}") from error
+    if lacking := [name for name in ("reset", "predict") if not callable(getattr(flown, name, None))]:
+        raise ValueError(f"policy {policy!r} lacks {' and '.join(lacking)}; try owm_envs.testing.check_policy on it")
+    return flown
 
 
 def is_planned(kind: str) -> bool:
@@ -109,6 +156,9 @@ def kind_of(policy: str) -> str:
         if start not in _ONLINE:
             raise ValueError(f"{ONLINE_PREFIX} needs a model with a linear part ({', '.join(_ONLINE)}), got a {start}")
         return _ONLINE[start]
+    if _OWN.fullmatch(policy):
+        own_class(policy)
+        return "user's own"
     header = checkpoint_folder(policy) / "config.json"
     try:
         found = json.loads(header.read_text(encoding="utf-8"))
@@ -141,7 +191,8 @@ def load_policy(
 
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
-            to fly; `online:FOLDER` fits the linear part of either again in flight.
+            to fly; `online:FOLDER` fits the linear part of either again in flight; `module:Class` is a class of your
+            own, made with those of `config`, `num_slots` and `seed` that it takes.
         config: the environment to fly.
         num_slots: flights side by side.
         seed: decides the policy's own draws.
@@ -164,6 +215,11 @@ def load_policy(
     env = DockingEnv(config)
     if kind in SCRIPTED:
         return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
+    if kind == "user's own":
+        flown = _own_policy(policy, config=config, num_slots=num_slots, seed=seed)
+        if not isinstance(getattr(flown, "name", None), str):
+            flown.name = policy
+        return flown
     if kind == "ekf-mpc":
         from owm.baselines.classical import classical_policy
 

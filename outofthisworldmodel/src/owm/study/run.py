@@ -1,5 +1,6 @@
 """Fly a matrix into one folder, port by port, so that a killed run goes on where it was."""
 
+import inspect
 import json
 import shutil
 import time
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from owm import __version__
-from owm.catalogue.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, load_model, load_policy
+from owm.catalogue.policies import NAMES, ONLINE_PREFIX, checkpoint_folder, kind_of, load_model, load_policy, own_class
 from owm.planning.config import PlannerConfig
 from owm.scores.coasting import add_coasts
 from owm.scores.docking import fly_episodes, trials
@@ -219,6 +220,8 @@ def content_digest(source: str) -> str:
     """Fingerprint of a policy: its name, or what its checkpoint holds."""
     if source in NAMES:
         return source
+    if kind_of(source) == "user's own":
+        return sha256(source.encode() + Path(inspect.getfile(own_class(source))).read_bytes()).hexdigest()[:16]
     path = source.removeprefix(ONLINE_PREFIX)
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
