@@ -28,7 +28,7 @@ FLOORS = {
         {"data"},
         {"motion"},
         {"model", "scores"},
-        {"report", "planning"},
+        {"report", "planning", "testing"},
         {"training"},
         {"baselines"},
         {"catalogue"},

@@ -62,7 +62,10 @@ def test_config_show_tells_units_and_schema_is_json(capsys):
         ("horizn = 3.0\n", "did you mean 'horizon'"),
         ("[chaser]\nmas = 3.0\n", "did you mean 'chaser.mass'"),
         ('ports = ["zvezda_aff"]\n', "did you mean 'zvezda_aft'"),
-        ("dt = -1.0\n", "dt: Input should be greater than 0, got -1.0 s"),
+        ("dt = -1.0\n", "dt must be greater than 0, got -1.0 s"),
+        ("steps_per_action = 1.5\n", "steps_per_action must be a whole number, got 1.5"),
+        ("hull = 3\n", "hull must be 'iss' or a list, got 3"),
+        ("[chief]\nreference_epoch = 07:00:00\n", "reference_epoch must be a date and time, such as 2026-08-01T"),
         ("dt = \n", "not valid TOML"),
         (None, "No such file"),
     ],
@@ -73,7 +76,7 @@ def test_config_validate_names_the_mistake(capsys, tmp_path, text, message):
         file.write_text(text)
     assert run("config", "validate", str(file)) == 2
     told = capsys.readouterr().err
-    assert message in told and "Traceback" not in told and "bad.toml" in told
+    assert message in told and "Traceback" not in told and "bad.toml" in told and "Input should" not in told
 
 
 @pytest.mark.parametrize(
@@ -85,6 +88,8 @@ def test_config_validate_names_the_mistake(capsys, tmp_path, text, message):
         (["--config", "nowhere.toml"], "nowhere.toml"),
         (["--planner-style", "2"], "planner_style must be from 0 to 1"),
         (["--transitions", "many"], "many"),
+        (["--seed", "-1"], "seed must be an integer of at least 0, got -1"),
+        (["--seed", "4294967296"], "seed must be below 2**32, got 4294967296"),
     ],
 )
 def test_generate_names_a_mistake_and_writes_nothing(capsys, tmp_path, arguments, message):

@@ -1,5 +1,6 @@
 import itertools
 
+import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +12,7 @@ from owm_envs.episode import POLICY_NAMES
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.policies.base import pointing_error, read_view
 from owm_envs.rollout import episodes, rollout
-from owm_envs.station import PORTS, goal_poses, hull_boxes
+from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
 
 PULLED = ("random", "orbit", "dock", "excite")
@@ -228,6 +229,38 @@ def test_misuse_is_refused_by_name(policies, ports, mask, observations, message)
     with pytest.raises(ValueError, match=message):
         policy.reset(mask=mask, ports=ports)
         policy.predict(np.zeros(observations, np.float32))
+
+
+@pytest.mark.parametrize("port", ["zvezda_aft", PORT_NAMES.index("zvezda_aft")])
+def test_a_single_port_is_that_of_every_slot(env, policies, port):
+    observations = _observations(env, 3)
+    one, each = (VectorPolicy(policies["random"], seed=1) for _ in range(2))
+    for flown in (3, 2):  # however many there are
+        one.reset(ports=port)
+        each.reset(ports=["zvezda_aft"] * flown)
+        np.testing.assert_array_equal(one.predict(observations[:flown])[0], each.predict(observations[:flown])[0])
+    again = [True, False]
+    one.reset(mask=again, ports=port)
+    each.reset(mask=again, ports=["zvezda_aft"] * 2)
+    np.testing.assert_array_equal(one.predict(observations[:2])[0], each.predict(observations[:2])[0])
+    with pytest.raises(ValueError, match="unknown port 'zvezda'; did you mean 'zvezda_aft'"):
+        one.reset(ports="zvezda")
+
+
+def test_a_policy_is_made_for_whatever_environment_is_at_hand(env):
+    made = make_policy("dock", env)
+    vector = gymnasium.make_vec("ISSHCW-v0", num_envs=2, config=env.config)
+    for subject in (env.config, gymnasium.make("ISSHCW-v0", config=env.config), vector):
+        assert make_policy("dock", subject) == made
+    for subject in (3, "ISSHCW-v0", gymnasium.make("CartPole-v1")):
+        with pytest.raises(TypeError, match=r"env must be a DockingEnv, .*, got (int|str|TimeLimit)"):
+            make_policy("dock", subject)
+
+
+def test_a_seed_that_is_none_is_refused_at_once(policies):
+    for seed, told in ((-1, "seed must be an integer of at least 0, got -1"), (2**32, r"seed must be below 2\*\*32")):
+        with pytest.raises(ValueError, match=told):
+            VectorPolicy(policies["dock"], seed=seed)
 
 
 def test_predict_before_reset_asks_for_the_ports(policies):

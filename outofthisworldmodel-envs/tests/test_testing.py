@@ -1,4 +1,4 @@
-"""`owm_envs.testing.check_env` passes sound dynamics of a user's own and names what is wrong with others."""
+"""`check_env` and `check_policy` pass what is sound of a user's own, and name what is wrong with the rest."""
 
 import copy
 from dataclasses import dataclass
@@ -12,7 +12,9 @@ from astrojax.attitude import quat_from_rotation_vector, quat_multiply
 from owm_envs.adapters.gymnasium import DockingGymEnv, DockingVectorEnv
 from owm_envs.dynamics.free_flyer import FreeFlyer
 from owm_envs.env import DockingEnv
-from owm_envs.testing import check_env
+from owm_envs.episode import POLICY_NAMES
+from owm_envs.policies import VectorPolicy, make_policy
+from owm_envs.testing import check_env, check_policy
 
 
 @dataclass(frozen=True)
@@ -132,3 +134,88 @@ def test_unusable_dynamics_are_refused_by_every_door():
     for door in (DockingEnv, DockingGymEnv, DockingVectorEnv):
         with pytest.raises(TypeError, match="frozen dataclass"):
             door(fidelity="iss", dynamics=Mutable())
+
+
+class Drifts:
+    """A policy that does nothing: what a user might bring."""
+
+    def reset(self, mask=None, ports=None):
+        self.ports = ports
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.zeros((len(observation), 6), np.float32), state
+
+
+def broken(change, returns=lambda count: count):
+    """A policy whose actions are `change(observation, state, itself)`, and whose state counts."""
+
+    class Broken(Drifts):
+        calls = 0
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            self.calls += 1
+            return change(observation, state, self), returns(1 + (state or 0))
+
+    return Broken()
+
+
+def zeros(observation, *shape):
+    return np.zeros((len(observation), *(shape or (6,))), np.float32)
+
+
+class Wordless(Drifts):
+    def predict(self, observation):
+        return zeros(observation)
+
+
+class Bare(Drifts):
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return zeros(observation)
+
+
+class Forgets(Drifts):
+    """Slots share what one of them forgets."""
+
+    count = 0
+
+    def reset(self, mask=None, ports=None):
+        self.count += 1
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return zeros(observation) + self.count, 0
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (Drifts, "interface: expected an object, made with its class, got the class"),
+        (object(), r"interface: expected reset\(mask, ports\), got object, which lacks it"),
+        (Wordless(), r"interface: expected predict\(observation, state, .*got Wordless's, which says: too many"),
+        (Bare(), "types: expected predict to return actions and a state, got ndarray"),
+        (broken(lambda o, s, p: zeros(o, 7)), r"shapes: expected actions of shape \(2, 6\), got \(2, 7\)"),
+        (broken(lambda o, s, p: zeros(o)[0]), r"shapes: expected actions of shape \(2, 6\), got \(6,\)"),
+        (broken(lambda o, s, p: zeros(o).astype(int)), "types: expected actions of floats, got int64"),
+        (broken(lambda o, s, p: zeros(o) + np.nan), "finite numbers: expected finite actions, got .*nan"),
+        (broken(lambda o, s, p: zeros(o.__imul__(0))), "in place: expected predict to leave the observation"),
+        (
+            broken(lambda o, s, p: zeros(o) + p.calls),
+            r"the same state, the same actions: expected \[\[2.0, .* got \[\[3",
+        ),
+        (
+            broken(lambda o, s, p: zeros(o) + p.calls, lambda c: None),
+            r"the same episode, the same actions: expected \[\[1",
+        ),
+        (Forgets(), r"slots by themselves: expected \[\[1.* beside a reset, got \[\[2"),
+    ],
+    ids=lambda value: "" if isinstance(value, str) else type(value).__name__,
+)
+def test_what_is_wrong_with_a_policy_is_one_line(policy, message):
+    with pytest.raises(AssertionError, match=message) as error:
+        check_policy(policy)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", [*(name for name in POLICY_NAMES if "geodesic" not in name), "drifts"])
+def test_our_own_policies_pass(name):
+    env = gymnasium.make("ISS-v0", noise="cooperative")
+    check_policy(Drifts() if name == "drifts" else VectorPolicy(make_policy(name, env)), env)

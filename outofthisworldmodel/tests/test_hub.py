@@ -11,10 +11,13 @@ import pytest
 
 from owm.baselines.least_squares import LeastSquares
 from owm.catalogue.checkpoint import load_world_model
-from owm.catalogue.hub import CONTENTS, is_repository, local_folder
+from owm.catalogue.hub import CONTENTS, checkpoint_folder, is_repository, local_folder
+from owm.catalogue.policies import kind_of, load_policy
+from owm.catalogue.predictors import evaluate_prediction
 from owm.checkpoint import CheckpointError, save_world_model
 from owm.model.config import ModelConfig
 from owm.motion.linear import LinearMap
+from owm_envs.config import load_config
 
 constants = pytest.importorskip("huggingface_hub.constants")
 COMMIT = "c" * 40
@@ -114,8 +117,34 @@ def test_damaged_files_are_refused(serve, published):
         load_world_model("user/model")
 
 
+def test_a_hub_that_cannot_be_reached_is_told_with_both_readings(monkeypatch, tmp_path):
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")  # where nobody answers
+    told = "there is no checkpoint at 'user/model': neither a folder nor found on the hub, which cannot be reached"
+    for lookup in (load_world_model, kind_of, lambda name: evaluate_prediction([name], [tmp_path])):
+        with pytest.raises(FileNotFoundError) as error:
+            lookup("user/model")
+        assert str(error.value) == told
+
+
+def test_every_door_takes_the_same_and_says_the_same(published, monkeypatch):
+    run = published.parent
+    published.rename(run / "model")
+    assert load_world_model(run) == load_world_model(run / "model")
+    monkeypatch.chdir(run)
+    config = load_config(fidelity="iss")
+    for source, told in (
+        ("runs/mine", "there is no checkpoint at 'runs/mine'"),
+        ("mine", "unknown .* 'mine'; known: "),
+    ):
+        for lookup in (load_world_model, kind_of, lambda name: load_policy(name, config), checkpoint_folder):
+            with pytest.raises(ValueError, match=told):
+                lookup(source)
+
+
 def test_paths_stay_paths(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    assert not is_repository("runs/mine"), "where commands write to"
     (tmp_path / "runs").mkdir()
     assert is_repository("user/model") and is_repository("user/model@v1.0")
     for path in ("runs/typo", "a/b/c", "/user/model", "./model", "model", "../user/model"):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import gymnasium
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,8 +10,10 @@ from free_body import BIAS, GOAL, LIMIT, NO_BIAS, PORT, FreeBody, move, small_fi
 
 from owm.planning.config import PlannerConfig
 from owm.planning.policy import PlannerPolicy
+from owm.scores.prediction import prediction_error
 from owm_envs.config import load_config
 from owm_envs.env import DockingEnv
+from owm_envs.station import PORT_NAMES
 
 ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
 STARTS = np.stack([view_at((3, -20, 4)), view_at((-8, -14, -6), np.float32([0.5, -0.866, 0, 0]))])
@@ -188,6 +191,33 @@ def test_ports_are_checked():
         policy.reset(ports=[0, 3])
     with pytest.raises(ValueError, match=r"shape \(2,\)"):
         policy.reset(ports=[0])
+
+
+def test_a_single_port_is_that_of_every_slot():
+    policy = PlannerPolicy(FreeBody(), small_field(), ENV, num_slots=2)
+    policy.reset(ports=PORT_NAMES[PORT])
+    each = make()
+    np.testing.assert_array_equal(*(flown.predict(observe(each.layout, STARTS))[0] for flown in (policy, each)))
+    with pytest.raises(ValueError, match="unknown port 'z'"):
+        policy.reset(ports=["z", "z"])
+
+
+def test_any_form_of_the_environment_is_taken():
+    vector = gymnasium.make_vec("ISS-v0", num_envs=2, config=ENV)
+    for subject, slots in ((DockingEnv(ENV), 1), (gymnasium.make("ISS-v0", config=ENV), 1), (vector, 2)):
+        policy = PlannerPolicy(FreeBody(), small_field(), subject)
+        assert policy.num_slots == slots and policy.layout == DockingEnv(ENV).layout
+    with pytest.raises(TypeError, match=r"env must be a DockingEnv, .* got int"):
+        PlannerPolicy(FreeBody(), small_field(), 4)
+
+
+def test_what_a_model_lacks_is_told():
+    class Half:
+        name, dt, params, encode, step = "half", 0.25, (), None, None
+
+    for use in (lambda model: PlannerPolicy(model, small_field(), ENV), lambda model: prediction_error(model, None)):
+        with pytest.raises(TypeError, match="world model Half lacks history_length, observe, decode"):
+            use(Half())
 
 
 def test_observations_are_checked():

@@ -14,11 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import synthetic
 from rich.console import Console
 from tensorboardX.proto.event_pb2 import Event
 
+from owm.baselines.constant_velocity import ConstantVelocity
 from owm.catalogue.checkpoint import load_world_model
-from owm.data.windows import Episodes
+from owm.data.windows import Episodes, from_episodes
 from owm.model.config import ModelConfig
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
@@ -28,7 +30,7 @@ from owm.training.autobatch import compiled_bytes, largest_batch, memory_budget
 from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
 from owm.training.step import initial_state, train_chunk
-from owm.training.validation import validation_sets
+from owm.training.validation import SCORE_UNITS, coasting_score, validation_sets
 from owm_envs.files import FolderTaken
 
 CONFIG = TrainConfig(
@@ -289,6 +291,51 @@ def test_data_that_does_not_fit_is_refused(episodes, tmp_path):
     with pytest.raises(ValueError, match=r"validation episodes step by 0\.5 s, the model by 0\.25 s"):
         train(CONFIG, episodes, replace(episodes, dt=0.5), tmp_path / "a")
     assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda e: replace(e, action=e.action * np.float32([1, 1, 1, 1, 1, 0])), "never vary torque z: nothing can be"),
+        (lambda e: replace(e, observation=e.observation * np.float32([0, *[1] * 12])), "never vary position x"),
+        (lambda e: replace(e, observation=np.where(np.arange(13) == 12, np.inf, e.observation)), "statistics, "),
+    ],
+)
+def test_data_that_teach_nothing_are_refused_before_anything_is_written(change, message, episodes, tmp_path):
+    with pytest.raises((ValueError, FloatingPointError), match=f"{message}.*record more flights"):
+        train(CONFIG, change(episodes), episodes, tmp_path / "run", console=QUIET)
+    assert not (tmp_path / "run").exists()
+
+
+def test_fewer_windows_than_a_batch_are_refused(episodes, tmp_path):
+    short = from_episodes(synthetic.episodes(3, 2, 3.5))
+    with pytest.raises(ValueError, match=r"hold 12 windows, fewer than batch=16; record more flights"):
+        train(CONFIG, short, episodes, tmp_path / "run", console=QUIET)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("policy", "seed", "told"),
+    [
+        ("orbit", 0, "predictions diverge in validation at step 0"),
+        ("random", 1, r"the best weights score \S+ in validation, constant velocity \S+: not published"),
+    ],
+)
+def test_a_single_flight_publishes_no_model(policy, seed, told, episodes, tmp_path):
+    flight = from_episodes(synthetic.episodes(seed, 1, 60.0, policies=(policy,)))
+    with pytest.raises((ValueError, FloatingPointError), match=f"{told}.*record more flights"):
+        train(CONFIG.model_copy(update={"steps": 25}), flight, episodes, tmp_path, console=QUIET)
+    assert not (tmp_path / "model").exists()
+
+
+def test_constant_velocity_is_the_bar(episodes):
+    sets, model = validation_sets(CONFIG, episodes), ConstantVelocity(CONFIG.model.history_length)
+
+    def score(windows):
+        context = jnp.full(len(windows.observation), model.history_length, jnp.int32)
+        return np.sum(np.mean(window_errors(model, (), windows, context)[1], axis=(0, 1)) / np.asarray(SCORE_UNITS))
+
+    assert coasting_score(CONFIG.model, sets) == pytest.approx(np.mean([score(each) for each in sets.values()]), 1e-5)
 
 
 def test_configurations_are_checked():

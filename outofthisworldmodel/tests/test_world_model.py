@@ -411,6 +411,27 @@ def test_mismatches_are_refused(saved, change, message):
         load_world_model(saved)
 
 
+def test_numbers_that_are_not_finite_are_neither_written_nor_read(model, tmp_path, monkeypatch):
+    broken = {
+        r"head\.out\.weight holds 1 of": eqx.tree_at(
+            lambda p: p.network.head.out.weight, model.params, replace_fn=lambda w: w.at[0, 0].set(jnp.nan)
+        ),
+        r"linear\.bias holds 6 of 6": eqx.tree_at(
+            lambda p: p.statistics.linear.bias, model.params, replace_fn=lambda b: b + jnp.inf
+        ),
+    }
+    for number, (told, params) in enumerate(broken.items()):
+        bad, folder = LearnedWorldModel(CONFIG, params), tmp_path / str(number)
+        with pytest.raises(CheckpointError, match=told):
+            save_world_model(bad, folder)
+        assert not folder.exists()
+        with monkeypatch.context() as patch:  # as earlier versions wrote them
+            patch.setattr("owm.checkpoint.check_finite", lambda *trees: None)
+            save_world_model(bad, folder)
+        with pytest.raises(CheckpointError, match=f"{folder.name}.*{told}"):
+            load_world_model(folder)
+
+
 def test_another_configuration_is_refused(saved):
     with pytest.raises(CheckpointError, match="width=16 where 32 is expected"):
         load_world_model(saved, expect=ModelConfig())

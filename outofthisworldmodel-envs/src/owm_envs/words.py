@@ -1,23 +1,106 @@
 """How mistakes are put into words, everywhere alike."""
 
 import difflib
+import operator
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, get_args
 
 
 def unknown(kind: str, name: object, known) -> str:
     """An error message for an unknown name, suggesting the nearest known one."""
     near = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    return f"unknown {kind} {name!r}{hint} Known: {', '.join(known)}."
+    hint = f"; did you mean {near[0]!r}?" if near else ";"
+    return f"unknown {kind} {name!r}{hint} known: {', '.join(known)}"
+
+
+def checked_seed(seed: Any, bits: int | None = None) -> int:
+    """A seed as Python's integer.
+
+    Args:
+        bits: most that it may have; any number when None.
+
+    Raises:
+        TypeError: it is no integer; NumPy's are.
+        ValueError: it is negative, or too large.
+    """
+    try:
+        number = operator.index(seed)
+    except TypeError:
+        raise TypeError(f"seed must be an integer of at least 0, got {seed!r}") from None
+    if number < 0:
+        raise ValueError(f"seed must be an integer of at least 0, got {number}")
+    if bits is not None and number >> bits:
+        raise ValueError(f"seed must be below 2**{bits}, got {number}")
+    return number
 
 
 def plain(error: Exception) -> str:
-    """What an error says, on one line; of a validation, each field with what is wrong, in our words."""
-    if not hasattr(error, "errors"):
-        return " ".join(str(error).split())
-    told = []
+    """What an error says, on one line; of a pydantic validation as `mistakes` does."""
+    return mistakes(error) if hasattr(error, "errors") else " ".join(str(error).split())
+
+
+_OURS = {
+    "missing": "is missing",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than_equal": "must be at most {le}",
+    "too_short": "must hold at least {min_length}",
+    "too_long": "must hold at most {max_length}",
+    "finite_number": "must be finite",
+    "int_from_float": "must be a whole number",
+    **dict.fromkeys(("int_type", "int_parsing"), "must be a whole number"),
+    **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    **dict.fromkeys(("tuple_type", "list_type"), "must be a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
+    "string_type": "must be text",
+}
+"""For pydantic's kinds of mistakes; the others' own words follow "must be" well enough."""
+_OPTION = re.compile(r"str|int|float|bool|(tuple|list|dict|literal|constrained-\w+|function-\w+|nullable)\b.*")
+"""What pydantic adds to a place to say which of several types it tried."""
+
+
+def mistakes(error: Any, model: Any = None, unit: Callable[[tuple[str, ...]], str] = lambda path: "") -> str:
+    """What is wrong with a table of settings, on one line: each place with what is allowed and what came.
+
+    Args:
+        error: pydantic's.
+        model: the class that was validated, to suggest names for unknown ones.
+        unit: of the value at a path of names.
+    """
+    told: dict[str, list[str]] = {}
+    came = {}
     for mistake in error.errors():
-        where = ".".join(map(str, mistake["loc"]))
-        what = mistake["msg"].removeprefix("Value error, ")
-        came = "" if mistake["type"] in ("value_error", "missing") else f", got {mistake['input']!r}"
-        told.append((f"{where}: " if where else "") + what + came)
-    return "; ".join(told)
+        # Names as they were written: an option of a type follows its place, and is no part of it.
+        parts = [str(part) for i, part in enumerate(mistake["loc"]) if not (i and _OPTION.fullmatch(str(part)))]
+        place = ".".join(parts)
+        kind, said = mistake["type"], mistake["msg"].removeprefix("Value error, ")
+        if kind == "extra_forbidden":
+            where, text = ".".join(parts[:-1]), unknown("key", parts[-1], _names(model, parts[:-1]))
+            where += ": " if where else ""
+        elif kind in ("value_error", "assertion_error"):
+            text = said.removeprefix(f"{parts[-1]} ") if parts else said
+            where = place and f"{place}{' ' if text != said or said.startswith('must ') else ': '}"
+        else:
+            said = re.sub(r"^(Input|\w+) should (?:be )?(?:a valid )?", "must be ", said)
+            where, text = (f"{place} " if place else ""), _OURS.get(kind, said).format(**mistake.get("ctx", {}))
+            if kind != "missing":
+                of = unit(tuple(part for part in mistake["loc"] if isinstance(part, str)))
+                came[where] = f", got {mistake['input']!r}" + (f" {of}" if of else "")
+        if text not in told.setdefault(where, []):
+            told[where].append(text)
+    return "; ".join(
+        where + " or ".join([texts[0], *(text.removeprefix("must be ") for text in texts[1:])]) + came.get(where, "")
+        for where, texts in told.items()
+    )
+
+
+def _names(model: Any, place: Sequence[str]) -> list[str]:
+    """The fields of the model at a place inside another."""
+    for part in place:
+        field = getattr(model, "model_fields", {}).get(part)
+        inner = [field.annotation] if field else [model] if part.isdigit() else []
+        while inner and not hasattr(inner[0], "model_fields"):
+            inner = [each for kind in inner for each in get_args(kind) if each is not type(None) and each is not ...]
+        model = inner[0] if inner else None
+    return list(getattr(model, "model_fields", {}))

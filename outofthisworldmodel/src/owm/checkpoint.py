@@ -26,6 +26,13 @@ class CheckpointError(ValueError):
     """A checkpoint is missing, damaged, or belongs to something else."""
 
 
+class NoCheckpointError(CheckpointError, FileNotFoundError):
+    """Nothing is there."""
+
+    def __init__(self, source: str | os.PathLike, reason: str = "config.json is missing"):
+        super().__init__(f"there is no checkpoint at {os.fspath(source)!r}: {reason}")
+
+
 class Contents(NamedTuple):
     """What a model is made of, and is made from again."""
 
@@ -63,10 +70,12 @@ def save_world_model(model: Saveable, path: str | os.PathLike, *, about: Mapping
     Raises:
         TypeError: the model says nothing of its contents.
         FolderTaken: the directory holds something else than a checkpoint.
+        CheckpointError: a number of it is not finite.
     """
     if not hasattr(model, "contents"):
         raise TypeError(f"cannot save a {type(model).__name__}; expected a world model of this package")
     kind, name, config, weights, statistics = model.contents()
+    check_finite(weights, statistics)
     contents = {
         "weights.safetensors": save_tensors(_named(weights)),
         "statistics.json": (json.dumps({k: v.tolist() for k, v in _named(statistics).items()}, indent=1)).encode(),
@@ -111,12 +120,12 @@ def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) ->
         make: from the contents, arrays by their paths.
 
     Raises:
-        CheckpointError: a file is missing or damaged, the format is another version's, or configuration, names,
-            shapes or types don't fit together.
+        CheckpointError: a file is missing or damaged, the format is another version's, configuration, names, shapes
+            or types don't fit together, or a number is not finite.
     """
     path = Path(path)
     if not (path / "config.json").is_file():
-        raise CheckpointError(f"no world model at {path}: config.json is missing")
+        raise NoCheckpointError(path)
     try:
         header = json.loads((path / "config.json").read_text(encoding="utf-8"))
         version, kind, digests = header["format"], header["kind"], header["sha256"]
@@ -134,11 +143,24 @@ def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) ->
     try:
         tensors = load_tensors(contents["weights.safetensors"])
         numbers = json.loads(contents["statistics.json"])
+        check_finite(tensors, {name: np.asarray(value) for name, value in numbers.items()})
         return make(Contents(kind, header["name"], header["config"], tensors, numbers))
     except CheckpointError as error:
         raise CheckpointError(f"{path}: {error}") from None
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path} cannot be read: {error}") from error
+
+
+def check_finite(*trees: PyTree) -> None:
+    """Refuse numbers that predict nothing.
+
+    Raises:
+        CheckpointError: a leaf holds one that is not finite, naming it.
+    """
+    for tree in trees:
+        for name, leaf in _named(tree).items():
+            if bad := np.count_nonzero(~np.isfinite(leaf)):
+                raise CheckpointError(f"{name} holds {bad} of {leaf.size} numbers that are not finite")
 
 
 def _paths(tree: Any, convert: Callable[[Any], Any]) -> dict[str, Any]:

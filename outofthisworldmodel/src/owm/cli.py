@@ -1,13 +1,15 @@
 """The `owm` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
+import dataclasses
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from owm import __version__
 from owm_envs import shell
+from owm_envs.words import checked_seed, mistakes
 
 Shell = Literal["100-225", "100-125"]
 
@@ -27,7 +29,8 @@ def fly(
 
     Args:
         policy: pretrained, dock, dock-geodesic, dock-geodesic-integral, random, orbit, excite, ekf-mpc, oracle-mppi,
-            constant-velocity, the folder of a checkpoint, online:FOLDER, or user/name on the hub.
+            constant-velocity, the folder of a checkpoint, online:FOLDER, user/name on the hub, or module:Class of
+            your own.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.
@@ -37,6 +40,7 @@ def fly(
         env: iss, iss-hcw or iss-numerical.
         out: Folder for CSV, JSON and picture; by default one of these flights' own below runs/fly.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import fly as run
 
@@ -69,6 +73,7 @@ def evaluate_docking(
         fresh: Replace what OUT holds of other settings, and flights that are not asked for.
         processes: That fly, as for `owm evaluate matrix`.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import evaluate_docking as run
 
@@ -117,7 +122,8 @@ def evaluate_prediction(
     Constant velocity, least squares, the Kalman filter and the exact dynamics are scored beside them.
 
     Args:
-        models: Folders of checkpoints, or constant-velocity, least-squares, least-squares-action-only, ekf, exact.
+        models: Folders of checkpoints, pretrained, user/name on the hub, or constant-velocity, least-squares,
+            least-squares-action-only, ekf, exact.
         data: Datasets to predict.
         split: Their split; by default the flights that training sets aside.
         windows: Windows of behaviour and of planner-style flights in each dataset.
@@ -126,6 +132,7 @@ def evaluate_prediction(
         seed: Decides the windows.
         out: Folder for JSON and pictures; the same again finds them there.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.catalogue.predictors import evaluate_prediction as run
 
@@ -159,6 +166,7 @@ def demo(
         seed: Decides everything random.
         fresh: Start over, whatever run is there.
     """
+    checked_seed(seed)
     _compilation_cache()
     from owm.commands.demo import demo as run
 
@@ -171,13 +179,14 @@ def _train(preset: str):
     from owm.training.config import PRESETS, TrainConfig
 
     start_from = preset if preset in PRESETS else "nano"
+    flags = _flags(PRESETS[start_from])
 
     def train(
         data: tuple[Path, ...],
         out: Path,
         preset: Literal[*PRESETS] = start_from,
         wandb: str | None = None,
-        config: Annotated[TrainConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+        config: tyro.conf.OmitArgPrefixes[type(flags)] = flags,
     ) -> None:
         """Train a world model; a killed run is resumed by the same command.
 
@@ -189,11 +198,12 @@ def _train(preset: str):
             config: The run.
         """
         del preset
+        checked = _checked(TrainConfig, config)
         _compilation_cache()
-        _cpu_devices(config.devices)
+        _cpu_devices(checked.devices)
         from owm.commands.run import train as run
 
-        run(data, out, config, wandb)
+        run(data, out, checked, wandb)
 
     return train
 
@@ -203,11 +213,12 @@ def _train_ppo(preset: str):
     from owm.baselines.ppo.config import PRESETS, PPOConfig
 
     start_from = preset if preset in PRESETS else "paper"
+    flags = _flags(PRESETS[start_from])
 
     def train_ppo(
         out: Path,
         preset: Literal[*PRESETS] = start_from,
-        config: Annotated[PPOConfig, tyro.conf.OmitArgPrefixes] = PRESETS[start_from],
+        config: tyro.conf.OmitArgPrefixes[type(flags)] = flags,
     ) -> None:
         """Train the PPO baseline in Stable-Baselines3; a killed run is resumed by the same command.
 
@@ -217,12 +228,40 @@ def _train_ppo(preset: str):
             config: The run.
         """
         del preset
+        checked = _checked(PPOConfig, config)
         _compilation_cache()
         from owm.commands.run import train_ppo as run
 
-        run(out, config)
+        run(out, checked)
 
     return train_ppo
+
+
+def _flags(config: Any) -> Any:
+    """A configuration as a dataclass that takes anything: the parser would tell of mistakes in pydantic's words."""
+    fields = []
+    for name, field in type(config).model_fields.items():
+        value, kind = getattr(config, name), field.annotation
+        if hasattr(type(value), "model_fields"):
+            value = _flags(value)
+            kind = type(value)
+        described = Annotated[kind, tyro.conf.arg(help=field.description)]
+        fields.append((name, described, dataclasses.field(default=value)))
+    return dataclasses.make_dataclass(type(config).__name__, fields, frozen=True)()
+
+
+def _checked(kind: Any, flags: Any) -> Any:
+    """The configuration that flags ask for.
+
+    Raises:
+        ValueError: it is none, in our words.
+    """
+    from pydantic import ValidationError
+
+    try:
+        return kind.model_validate(dataclasses.asdict(flags))
+    except ValidationError as error:
+        raise ValueError(mistakes(error, kind)) from None
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -77,3 +77,16 @@ def roll_out(
         return state, model.decode(params, state)["state"]
 
     return jax.lax.scan(advance, state, (keys, actions))[1]
+
+
+def check_complete(model: Any) -> None:
+    """Refuse what is no world model.
+
+    Raises:
+        TypeError: naming what it lacks of `WorldModel`.
+    """
+    wanted = ("name", "history_length", "dt", "params", "encode", "step", "observe", "decode")
+    if lacking := [part for part in wanted if not hasattr(model, part)]:
+        raise TypeError(
+            f"the world model {type(model).__name__} lacks {', '.join(lacking)} (see owm.interface.WorldModel)"
+        )

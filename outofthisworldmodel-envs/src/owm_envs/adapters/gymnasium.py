@@ -12,14 +12,14 @@ from gymnasium.vector.utils import batch_space
 
 from owm_envs.adapters.batch import BatchProgram, Seen
 from owm_envs.adapters.parts import Shown, each, shown, space_of
-from owm_envs.adapters.seeds import checked_seed, drawn_seed, slot_seeds
+from owm_envs.adapters.seeds import drawn_seed, slot_seeds
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
 from owm_envs.task.sensors import Sensor
-from owm_envs.words import unknown
+from owm_envs.words import checked_seed, unknown
 
 RENDER_MODES = ("rgb_array",)
 

@@ -14,7 +14,7 @@ from owm_envs.adapters.batch import Seen, state_from_host, state_to_host
 from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.gymnasium import RENDER_MODES, scalar_info
 from owm_envs.adapters.parts import Shown, each, shown, space_of
-from owm_envs.adapters.seeds import checked_seed, drawn_seed, seed_keys
+from owm_envs.adapters.seeds import drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
 from owm_envs.env import FleetEnv, FleetState
@@ -22,7 +22,7 @@ from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import Sensor
-from owm_envs.words import unknown
+from owm_envs.words import checked_seed, unknown
 
 try:
     from pettingzoo import AECEnv, ParallelEnv

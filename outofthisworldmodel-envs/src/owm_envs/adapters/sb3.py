@@ -9,11 +9,10 @@ from gymnasium.vector import AutoresetMode
 
 from owm_envs.adapters.gymnasium import DockingVectorEnv, scalar_info
 from owm_envs.adapters.parts import Shown, each
-from owm_envs.adapters.seeds import checked_seed
 from owm_envs.config import DockingConfig
 from owm_envs.registration import IDS
 from owm_envs.task.events import Outcome
-from owm_envs.words import unknown
+from owm_envs.words import checked_seed, unknown
 
 try:
     from stable_baselines3.common.vec_env import VecEnv

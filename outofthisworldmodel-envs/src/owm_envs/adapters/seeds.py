@@ -1,6 +1,5 @@
 """Seeds, the same in every adapter: any integer from zero on, all bits of which count."""
 
-import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,24 +8,9 @@ import numpy as np
 from jaxtyping import Key, UInt32
 
 from owm_envs.flags import own_flags
+from owm_envs.words import checked_seed
 
 _MOST_DRAWN = 2**63
-
-
-def checked_seed(seed: Any) -> int:
-    """A seed as Python's integer.
-
-    Raises:
-        TypeError: it is no integer; NumPy's are.
-        ValueError: it is negative.
-    """
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        raise TypeError(f"seed must be an integer of at least 0, got {seed!r}") from None
-    if number < 0:
-        raise ValueError(f"seed must be an integer of at least 0, got {number}")
-    return number
 
 
 def slot_seeds(seed: Any, count: int) -> list[int | None]:

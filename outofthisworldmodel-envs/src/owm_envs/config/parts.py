@@ -172,8 +172,11 @@ class ChiefConfig(Frozen):
             return given.isoformat().replace("+00:00", "Z")
         if isinstance(value, datetime.date):
             return f"{value.isoformat()}T00:00:00Z"
-        if isinstance(value, str):
+        try:
             datetime.datetime.fromisoformat(value)
+        except (TypeError, ValueError):
+            came = value if isinstance(value, datetime.time) else repr(value)
+            raise ValueError(f"must be a date and time, such as 2026-08-01T00:00:00Z, got {came}") from None
         return value
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from owm_envs import words
 from owm_envs.config.parts import NOISE_PRESETS, REWARD_PRESETS
 
 
@@ -93,14 +94,6 @@ def changes(config: BaseModel, base: BaseModel) -> list[str]:
 
 
 def mistakes(error: ValidationError, model: type[BaseModel]) -> str:
-    """What is wrong with a configuration: each field with what is allowed and what came."""
-    lines = []
-    for mistake in error.errors():
-        path = tuple(part for part in mistake["loc"] if isinstance(part, str))
-        line = f"{'.'.join(map(str, mistake['loc'])) or 'config'}: {mistake['msg']}"
-        if mistake["type"] not in ("value_error", "missing"):
-            line += f", got {mistake['input']!r}"
-            unit = fields(model).get(path, {}).get("unit", "1")
-            line += f" {unit}" if unit != "1" else ""
-        lines.append(line)
-    return "; ".join(lines)
+    """What is wrong with a configuration: each field with what is allowed and what came, with its unit."""
+    units = fields(model)
+    return words.mistakes(error, model, lambda path: units.get(path, {}).get("unit", "").removeprefix("1"))

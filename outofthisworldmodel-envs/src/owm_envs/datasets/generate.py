@@ -19,6 +19,7 @@ from owm_envs.datasets.writer import SplitWriter
 from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.files import JOURNAL, check_free, output_folder, publish, published, remove, strangers, write_atomically
 from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
+from owm_envs.words import checked_seed
 
 if TYPE_CHECKING:
     from owm_envs.task.sensors import Sensor
@@ -50,8 +51,7 @@ class Request:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if not 0 <= self.planner_style <= 1:
             raise ValueError(f"planner_style must be from 0 to 1, got {self.planner_style}")
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed must be from 0 to {2**32 - 1}, got {self.seed}")
+        checked_seed(self.seed, bits=32)
 
 
 class Flight(NamedTuple):

@@ -2,6 +2,7 @@
 
 from owm_envs.env.docking import DockingEnv, EnvState, StepResult, restart_where
 from owm_envs.env.fleet import START_SEPARATION, FleetEnv, FleetLayout, FleetState, assign_ports
+from owm_envs.env.subject import docking_env
 
 __all__ = [
     "START_SEPARATION",
@@ -12,5 +13,6 @@ __all__ = [
     "FleetState",
     "StepResult",
     "assign_ports",
+    "docking_env",
     "restart_where",
 ]

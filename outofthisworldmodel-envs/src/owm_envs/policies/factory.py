@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from owm_envs.env import DockingEnv
+from owm_envs.env import docking_env
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.policies.base import ScriptedPolicy, Vehicle
 from owm_envs.policies.geodesic import DockGeodesicIntegralPolicy, DockGeodesicPolicy, prepared
@@ -10,18 +10,21 @@ from owm_envs.policies.scripted import DockPolicy, ExcitePolicy, OrbitPolicy, Ra
 from owm_envs.words import unknown
 
 
-def make_policy(name: str, env: DockingEnv, *, geodesic_field: Any = None) -> ScriptedPolicy:
+def make_policy(name: str, env: Any, *, geodesic_field: Any = None) -> ScriptedPolicy:
     """Build a scripted policy for an environment's chaser, layout and decision rate.
 
     Args:
         name: one of `POLICY_NAMES`.
+        env: to be flown: a `DockingEnv`, its configuration, or a Gymnasium environment over it, scalar or vector.
         geodesic_field: a `GeodesicField` for those that follow one; the station's own when None.
 
     Raises:
         ValueError: the name is unknown (naming the nearest).
+        TypeError: `env` is no such environment.
     """
     if name not in POLICY_NAMES:
         raise ValueError(unknown("policy", name, POLICY_NAMES))
+    env = docking_env(env)
     chaser, decision_dt = env.config.chaser, env.config.decision_dt
     vehicle = Vehicle(chaser.mass, chaser.inertia, chaser.force_limit, chaser.torque_limit, decision_dt)
     layout = env.layout

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from owm_envs.flags import own_flags
-from owm_envs.station import PORT_NAMES, port_index
+from owm_envs.station import port_indices
 from owm_envs.task.observation import Observation, ObservationLayout, part
 from owm_envs.task.sensors import STATE
 
@@ -55,6 +55,7 @@ class SlotPolicy(ABC):
         self.active = np.ones(num_slots or 0, bool)
         self._any_number = num_slots is None
         self._ports: np.ndarray | None = None
+        self._common: np.integer | None = None  # port of every slot, until a batch shows how many there are
         self._episodes = self._pending = np.zeros(0)
         self._state: Any = None
 
@@ -78,15 +79,22 @@ class SlotPolicy(ABC):
 
         Args:
             mask: slots whose episode begins; all when None.
-            ports: assigned port of every slot, as names (`info["port"]`) or indices, read where `mask` is True; the
-                ones known so far when None.
+            ports: assigned port of every slot, by name or index (`info["port"]`), read where `mask` is True; a single
+                one is that of all; the ones known so far when None.
 
         Raises:
             ValueError: shapes disagree, a port is unknown or cannot be flown to, or no ports were ever given.
         """
+        self._common = None
         if ports is None and self._ports is None:
             raise ValueError("ports must be given on the first reset: one port index for each slot")
-        given = self._ports if ports is None else _port_numbers(ports)
+        if ports is not None and np.ndim(ports) == 0:
+            (port,) = port_indices(ports)
+            if mask is None and self._any_number:
+                self._common = port
+                return
+            ports = np.full(self.num_slots if mask is None else np.size(mask), port)
+        given = self._ports if ports is None else port_indices(ports)
         # A policy of any number of slots takes another number when all of them begin.
         anew = self._ports is None or (self._any_number and (mask is None or np.all(mask)))
         count = given.size if anew and self._any_number else self.num_slots
@@ -94,13 +102,7 @@ class SlotPolicy(ABC):
         for name, array in (("mask", mask), ("ports", given)):
             if array.shape != (count,):
                 raise ValueError(f"{name} must have shape ({count},), one for each slot, got {array.shape}")
-        wanted = given[mask]
-        if ((wanted < 0) | (wanted >= len(PORT_NAMES))).any():
-            raise ValueError(
-                f"ports must be names or indices from 0 to {len(PORT_NAMES) - 1}, one for each slot, "
-                f"got {wanted.tolist()}"
-            )
-        self.check_ports(wanted)
+        self.check_ports(given[mask])
         if self._ports is None and not mask.all():
             raise ValueError("the first reset must start every slot")
         if self._ports is None or count != self.num_slots:
@@ -135,10 +137,12 @@ class SlotPolicy(ABC):
             ValueError: `reset` never told the ports, or the shape is wrong.
         """
         del deterministic
-        if self._ports is None:
-            raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
         shape = np.shape(part(observation, STATE))
         single = len(shape) == 1
+        if self._common is not None:
+            self.reset(ports=np.full(1 if single else shape[0], self._common))
+        if self._ports is None:
+            raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
         parts = dict(observation) if isinstance(observation, Mapping) else {STATE: observation}
         parts[STATE] = np.asarray(parts[STATE], np.float32)
         batch = {name: np.asarray(values)[None] if single else np.asarray(values) for name, values in parts.items()}
@@ -154,13 +158,3 @@ class SlotPolicy(ABC):
             actions, self._state = self.act(self._state if state is None else state, batch, slots)
         actions = np.where(self.active[:, None], np.asarray(actions, np.float32), np.float32(0))
         return (actions[0] if single else actions), self._state
-
-
-def _port_numbers(ports: Sequence[str | int] | np.ndarray | str | int) -> Int[np.ndarray, "B"]:
-    """Ports, by name or index, as indices."""
-    values = np.atleast_1d(np.asarray(ports))
-    if values.dtype.kind in "UO":
-        values = np.array([port_index(port) if isinstance(port, str) else port for port in values.tolist()])
-    if values.dtype.kind not in "iu":
-        raise ValueError(f"ports must be a name or an index for each slot, got {values.tolist()}")
-    return values

@@ -8,6 +8,7 @@ import numpy as np
 
 from owm_envs.policies.base import ScriptedPolicy
 from owm_envs.policies.slots import SlotPolicy, Slots
+from owm_envs.words import checked_seed
 
 
 class VectorPolicy(SlotPolicy):
@@ -21,7 +22,7 @@ class VectorPolicy(SlotPolicy):
     def __init__(self, policy: ScriptedPolicy, *, seed: int = 0):
         super().__init__(policy.name, policy.layout)
         self.policy = policy
-        self._seed = np.uint32(seed)
+        self._seed = np.uint32(checked_seed(seed, bits=32))
 
     def act(self, state: Any, observation: dict[str, np.ndarray], slots: Slots) -> tuple[Any, Any]:
         """Every slot's action and next state, in one compiled program."""

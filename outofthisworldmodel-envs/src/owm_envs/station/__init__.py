@@ -13,6 +13,7 @@ from owm_envs.station.ports import (
     docked_attitude,
     goal_poses,
     port_index,
+    port_indices,
 )
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "nearest_part",
     "part_boxes",
     "port_index",
+    "port_indices",
     "sample_surface",
     "save_hull",
     "signed_distance",

@@ -1,10 +1,12 @@
 """The eight docking ports of the station and the poses the chaser is asked to hold in front of them."""
 
-import difflib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from owm_envs.words import unknown
 
 
 class Port(NamedTuple):
@@ -51,9 +53,33 @@ def port_index(name: str) -> int:
     """
     if name in PORT_NAMES:
         return PORT_NAMES.index(name)
-    nearest = difflib.get_close_matches(str(name), PORT_NAMES, n=1, cutoff=0.4)
-    hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
-    raise ValueError(f"unknown port {name!r}{hint} known: {', '.join(PORT_NAMES)}")
+    raise ValueError(unknown("port", name, PORT_NAMES))
+
+
+def port_indices(ports: str | int | Sequence[str | int] | np.ndarray, slots: int | None = None) -> Int[np.ndarray, "B"]:
+    """Give the indices of the ports of a batch of slots.
+
+    Args:
+        ports: one name or index for every slot, or one a slot.
+        slots: how many there are; as many as there are ports when None.
+
+    Raises:
+        ValueError: a port is unknown, or there are not as many as slots.
+    """
+    values = np.asarray(ports)
+    if values.dtype.kind in "UO":
+        named = [port_index(name) if isinstance(name, str) else name for name in values.ravel().tolist()]
+        values = np.array(named).reshape(values.shape)
+    count = len(PORTS)
+    if values.ndim > 1 or values.dtype.kind not in "iu" or (values < 0).any() or (values >= count).any():
+        raise ValueError(
+            f"ports must be names or indices from 0 to {count - 1}, one for each slot, got {values.tolist()}"
+        )
+    if values.ndim == 0:
+        values = np.repeat(values, 1 if slots is None else slots)
+    if slots is not None and len(values) != slots:
+        raise ValueError(f"ports must have shape ({slots},), one for each slot, or be a single one, got {values.shape}")
+    return values.astype(np.int32)
 
 
 def docked_attitude(normal: tuple[float, float, float]) -> Float[np.ndarray, "4"]:

@@ -4,7 +4,7 @@ import os
 
 from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.least_squares import LeastSquares
-from owm.catalogue.hub import local_folder
+from owm.catalogue.hub import checkpoint_folder
 from owm.checkpoint import CheckpointError, Contents, read_checkpoint
 from owm.interface import WorldModel
 from owm.model.config import ModelConfig
@@ -18,11 +18,12 @@ def load_world_model(path: str | os.PathLike, *, expect: ModelConfig | None = No
     """Read a world model.
 
     Args:
-        path: directory that `save_world_model` wrote, or a repository of the Hugging Face hub, `user/name`.
+        path: directory that `save_world_model` wrote, a run's folder with one inside, "pretrained", or a repository of
+            the Hugging Face hub, `user/name`.
         expect: configuration that a learned model must have, if only one will do.
 
     Raises:
-        FileNotFoundError: it is not on the hub, or the hub cannot be reached.
+        FileNotFoundError, ValueError: there is nothing, as `owm.catalogue.hub.checkpoint_folder`.
         CheckpointError: as `owm.checkpoint.read_checkpoint`, or the kind of model is unknown.
     """
 
@@ -33,4 +34,4 @@ def load_world_model(path: str | os.PathLike, *, expect: ModelConfig | None = No
             raise CheckpointError(f"unknown kind {contents.kind!r}, expected {', '.join(_MODELS)}")
         return _MODELS[contents.kind].from_contents(contents)
 
-    return read_checkpoint(local_folder(path), make)
+    return read_checkpoint(checkpoint_folder(path), make)

@@ -1,15 +1,19 @@
 """Every policy by the name that commands and reports use, and what each of them is given."""
 
+import importlib
+import inspect
 import json
 import os
+import re
+import sys
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from owm.catalogue.hub import PRETRAINED, is_repository, local_folder
-from owm_envs.adapters.seeds import checked_seed
+from owm.catalogue import hub
 from owm_envs.config import DockingConfig
-from owm_envs.words import unknown
+from owm_envs.words import checked_seed, unknown
 
 
 class Given(NamedTuple):
@@ -75,6 +79,7 @@ GIVEN: dict[str, Given] = {
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
+    "user's own": Given(*["not told"] * 7),
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
@@ -83,12 +88,52 @@ NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 ONLINE_PREFIX = "online:"
 """Before the folder of a model whose linear part is to be fitted again in flight."""
 _ONLINE = {"least-squares": "least-squares-online", "world model": "world model, online"}
+_OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
+"""A user's class, `module:Class`."""
 _KINDS = {
     "learned": "world model",
     "latent": "latent world model",
     "least_squares": "least-squares",
     "constant_velocity": "constant-velocity",
 }
+
+
+def own_class(policy: str) -> Callable[..., Any]:
+    """The class, or function that makes a policy, behind `module:Class`, looked for in the current folder too.
+
+    Raises:
+        ImportError: there is no such module, or it cannot be imported.
+        ValueError: it has no such class, naming the nearest.
+    """
+    parts = _OWN.fullmatch(policy)
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    try:
+        module = importlib.import_module(parts["module"])
+    except ImportError as error:
+        raise ImportError(f"policy {policy!r} cannot be imported: {error}") from error
+    if not callable(made := getattr(module, parts["name"], None)):
+        classes = [name for name, value in vars(module).items() if inspect.isclass(value)]
+        raise ValueError(unknown(f"class of {parts['module']}", parts["name"], classes))
+    return made
+
+
+def _own_policy(policy: str, **told: Any) -> Any:
+    """A user's policy, made with those of `config`, `num_slots` and `seed` that its class takes.
+
+    Raises:
+        ValueError: the class needs something else, or what it makes is no policy.
+    """
+    made = own_class(policy)
+    taken = inspect.signature(made).parameters
+    everything = any(each.kind is each.VAR_KEYWORD for each in taken.values())
+    try:
+        flown = made(**{name: value for name, value in told.items() if everything or name in taken})
+    except TypeError as error:
+        raise ValueError(f"policy {policy!r} is made with {', '.join(told)} or some of them: {error}") from error
+    if lacking := [name for name in ("reset", "predict") if not callable(getattr(flown, name, None))]:
+        raise ValueError(f"policy {policy!r} lacks {' and '.join(lacking)}; try owm_envs.testing.check_policy on it")
+    return flown
 
 
 def is_planned(kind: str) -> bool:
@@ -112,24 +157,22 @@ def kind_of(policy: str) -> str:
         if start not in _ONLINE:
             raise ValueError(f"{ONLINE_PREFIX} needs a model with a linear part ({', '.join(_ONLINE)}), got a {start}")
         return _ONLINE[start]
-    if os.path.exists(policy) or is_repository(policy) or policy == PRETRAINED.name:
-        header = checkpoint_folder(policy) / "config.json"
-        try:
-            found = json.loads(header.read_text(encoding="utf-8"))
-            kind = found["kind"]
-            if kind == "ppo":
-                return "ppo-field" if found["about"]["observe_field"] else "ppo"
-            if kind == "learned" and found.get("config", {}).get("stream") == "latent":
-                kind = "latent"
-        except (OSError, ValueError, KeyError, TypeError):
-            raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
-        if kind not in _KINDS:
-            raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
-        return _KINDS[kind]
-    if any(mark in policy for mark in (os.sep, "/", ".")):
-        raise FileNotFoundError(f"there is no checkpoint at {policy!r}")
-    known = (*NAMES, PRETRAINED.name)
-    raise ValueError(unknown("policy", policy, known) + " Or the folder of a checkpoint, or its name on the hub.")
+    if _OWN.fullmatch(policy):
+        own_class(policy)
+        return "user's own"
+    header = checkpoint_folder(policy) / "config.json"
+    try:
+        found = json.loads(header.read_text(encoding="utf-8"))
+        kind = found["kind"]
+        if kind == "ppo":
+            return "ppo-field" if found["about"]["observe_field"] else "ppo"
+        if kind == "learned" and found.get("config", {}).get("stream") == "latent":
+            kind = "latent"
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
+    if kind not in _KINDS:
+        raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
+    return _KINDS[kind]
 
 
 def _folder(policy: str) -> str:
@@ -138,16 +181,16 @@ def _folder(policy: str) -> str:
 
 
 def checkpoint_folder(path: str) -> Path:
-    """The checkpoint's folder: the one named, `model` or `policy` in a run's folder, or a download from the hub."""
-    folder = local_folder(path)
-    inside = (folder / part for part in ("model", "policy"))
-    return next((part for part in inside if (part / "config.json").is_file()), folder)
+    """The folder of a policy's checkpoint, as `owm.catalogue.hub.checkpoint_folder` finds it."""
+    return hub.checkpoint_folder(path, "policy", NAMES)
 
 
 def content_digest(source: str) -> str:
-    """Fingerprint of a policy: its name, or what its checkpoint holds."""
+    """Fingerprint of a policy: its name, what its checkpoint holds, or the file of a class of one's own."""
     if source in NAMES:
         return source
+    if kind_of(source) == "user's own":
+        return sha256(source.encode() + Path(inspect.getfile(own_class(source))).read_bytes()).hexdigest()[:16]
     path = source.removeprefix(ONLINE_PREFIX)
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
@@ -163,7 +206,8 @@ def load_policy(
 
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
-            to fly; `online:FOLDER` fits the linear part of either again in flight.
+            to fly; `online:FOLDER` fits the linear part of either again in flight; `module:Class` is a class of your
+            own, made with those of `config`, `num_slots` and `seed` that it takes.
         config: the environment to fly.
         num_slots: flights side by side.
         seed: decides the policy's own draws.
@@ -179,14 +223,18 @@ def load_policy(
         FileNotFoundError: there is nothing at the path.
     """
     kind = kind_of(policy)
-    if checked_seed(seed) >= 2**32:
-        raise ValueError(f"a policy's seed must be below 2**32, got {seed}")
+    checked_seed(seed, bits=32)
     from owm_envs.env import DockingEnv
     from owm_envs.policies import VectorPolicy, make_policy
 
     env = DockingEnv(config)
     if kind in SCRIPTED:
         return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
+    if kind == "user's own":
+        flown = _own_policy(policy, config=config, num_slots=num_slots, seed=seed)
+        if not isinstance(getattr(flown, "name", None), str):
+            flown.name = policy
+        return flown
     if kind == "ekf-mpc":
         from owm.baselines.classical import classical_policy
 
@@ -236,6 +284,17 @@ def _short(values: list[Any]) -> str:
     return ", ".join(dict.fromkeys(texts))
 
 
+def read_model(folder: Path, name: str, config: DockingConfig) -> Any:
+    """The world model in a checkpoint's folder; says how what it was trained on differs from what it is used in."""
+    from owm.catalogue.checkpoint import load_world_model
+    from owm.console import announce
+
+    model = load_world_model(folder)
+    for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
+        announce(f"note: {name} {text}")
+    return model
+
+
 def load_model(policy: str, config: DockingConfig) -> Any:
     """The world model behind "oracle-mppi" or a checkpoint.
 
@@ -253,11 +312,5 @@ def load_model(policy: str, config: DockingConfig) -> Any:
 
         return ConstantVelocity()
     if is_planned(kind):
-        from owm.catalogue.checkpoint import load_world_model
-        from owm.console import announce
-
-        folder = checkpoint_folder(_folder(policy))
-        for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
-            announce(f"note: {policy} {text}")
-        return load_world_model(folder)
+        return read_model(checkpoint_folder(_folder(policy)), policy, config)
     raise ValueError(f"policy {policy!r} has no world model")

@@ -13,7 +13,7 @@ from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.ekf import HELD_COMMANDS, RECORDED_COMMANDS, ErrorStateEKF
 from owm.baselines.exact import ExactDynamics
 from owm.baselines.least_squares import fit_least_squares
-from owm.catalogue.policies import content_digest, load_model
+from owm.catalogue.policies import content_digest, read_model
 from owm.console import announce, bar
 from owm.data.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
 from owm.data.windows import Episodes
@@ -70,6 +70,9 @@ def evaluate_prediction(
     for option, value in (("windows", windows), ("spread_windows", spread_windows)):
         if value < 1:
             raise ValueError(f"{option} must be at least 1, got {value}")
+    for name in models:
+        if name not in NAMED:
+            checkpoint_folder(name, "predictor", NAMED)
     errors: dict[str, list[PredictionError]] = {}
     spreads: dict[str, list[Calibration]] = {}
     files: list[Path] = []
@@ -164,7 +167,7 @@ def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: 
         return ExactDynamics(config.fidelity, config)
     if name in ("least-squares", "least-squares-action-only"):
         return fit_least_squares(train, motion=name == "least-squares")
-    model = load_model(name, config)
+    model = read_model(checkpoint_folder(name, "predictor", NAMED), name, config)
     if isinstance(model, LearnedWorldModel):
         folder = Path(name)
         called = folder.parent.name if folder.name == "model" else folder.name

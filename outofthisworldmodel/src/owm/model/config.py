@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, PositiveFloat, Posit
 class ModelConfig(BaseModel):
     """Static choices; everything that training finds lives in the parameters instead."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     stream: Literal["kinematic", "adaptive", "latent"] = "kinematic"
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, on those of a

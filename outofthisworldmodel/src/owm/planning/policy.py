@@ -12,19 +12,19 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
-from owm.interface import History, WorldModel
+from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
 from owm.planning.cost import Goal
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
-from owm_envs.config import DockingConfig
 from owm_envs.cores import workers
-from owm_envs.env import DockingEnv
+from owm_envs.env import docking_env
 from owm_envs.field import GeodesicField, field_rows
 from owm_envs.flags import own_flags
 from owm_envs.policies import SlotPolicy, Slots
 from owm_envs.station import PORT_NAMES, goal_poses
 from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
+from owm_envs.words import checked_seed
 
 
 class Learner(Protocol):
@@ -71,9 +71,10 @@ class PlannerPolicy(SlotPolicy):
         model: a world model; its `precision`, "float32" unless it says otherwise, decides in which mode it
             runs.
         field: geodesic field that covers the ports to be flown, from `owm_envs.field.load_field`.
-        env: the environment to be flown, or its configuration: layout, wrench limits, decision rate.
+        env: the environment to be flown, pure or Gymnasium's, or its configuration: layout, wrench limits, decision
+            rate.
         config: the planner's.
-        num_slots: episodes flown side by side.
+        num_slots: episodes flown side by side; as many as the environment has when None.
         learner: replaces the model's parameters by those it finds in flight.
         seed: decides every draw.
 
@@ -83,19 +84,22 @@ class PlannerPolicy(SlotPolicy):
 
     Raises:
         ValueError: the environment's decision rate is not the model's, or it does not observe what the model looks at.
+        TypeError: the model lacks a part of `WorldModel`, or `env` is no environment.
     """
 
     def __init__(
         self,
         model: WorldModel,
         field: GeodesicField,
-        env: DockingEnv | DockingConfig,
+        env: Any,
         config: PlannerConfig | None = None,
-        num_slots: int = 1,
+        num_slots: int | None = None,
         seed: int = 0,
         learner: Learner | None = None,
     ):
-        env = env if isinstance(env, DockingEnv) else DockingEnv(env)
+        check_complete(model)
+        num_slots = getattr(env, "num_envs", 1) if num_slots is None else num_slots
+        env = docking_env(env)
         if not np.isclose(env.config.decision_dt, model.dt):
             raise ValueError(
                 f"the environment must take one action every {model.dt} s, the step of the model "
@@ -107,7 +111,7 @@ class PlannerPolicy(SlotPolicy):
         self.config = PlannerConfig() if config is None else config
         self.seconds: list[float] = []
         self._learner = learner
-        self._seed = np.uint32(seed)
+        self._seed = np.uint32(checked_seed(seed, bits=32))
         self._wide = getattr(model, "precision", "float32") == "float64"
         self._tuning = self.config.tuning(env.layout.wrench_limit)
         self._goals = goal_poses().astype(np.float32)

@@ -14,6 +14,7 @@ from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
+from owm_envs.words import checked_seed, unknown
 
 SHELLS: dict[str, tuple[float, float]] = {"100-125": (100.0, 125.0), "100-225": (100.0, 225.0)}
 """Start shells of the two tables, m: the paper's for reinforcement learning, and all starts."""
@@ -45,7 +46,7 @@ def evaluation_config(shell: str = "100-225", **overrides: Any) -> DockingConfig
         ValueError: the shell or a field is unknown.
     """
     if shell not in SHELLS:
-        raise ValueError(f"unknown shell {shell!r}; known: {', '.join(SHELLS)}")
+        raise ValueError(unknown("shell", shell, SHELLS))
     low, high = SHELLS[shell]
     standard = {
         "noise": "cooperative",
@@ -66,6 +67,7 @@ def trials(
     """
     if not ports or not 1 <= per_port <= 100_000:
         raise ValueError(f"need 1 to 100000 flights to each of one or more ports, got {per_port}, {list(ports)}")
+    seed = checked_seed(seed)
     index = np.repeat([port_index(name) for name in ports], per_port).astype(np.int32)
     trial = np.tile(np.arange(per_port), len(ports))
     return _FIRST_SEED + (np.int64(seed) * len(PORT_NAMES) + index) * 100_000 + trial, index

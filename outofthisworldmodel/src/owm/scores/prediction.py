@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from owm.data.windows import Windows, history_of
-from owm.interface import WorldModel, roll_out
+from owm.interface import WorldModel, check_complete, roll_out
 from owm.motion.kinematics import view_error
 from owm_envs.task.sensors import STATE
 
@@ -95,7 +95,9 @@ def prediction_error(
 
     Raises:
         ValueError: if the windows are too short or there are none.
+        TypeError: the model lacks a part of `WorldModel`.
     """
+    check_complete(model)
     length = model.history_length + max(horizons)
     count = check_windows(windows, length)
     context = model.history_length if context is None else context

@@ -12,7 +12,7 @@ from owm.catalogue.policies import is_planned, kind_of
 from owm_envs.config.parts import Frozen
 from owm_envs.files import read_text, slug
 from owm_envs.station import PORT_NAMES, port_index
-from owm_envs.words import plain, unknown
+from owm_envs.words import checked_seed, mistakes, unknown
 
 PLANNERS: dict[str, dict[str, Any]] = {
     "geodesic": {},
@@ -75,6 +75,8 @@ class Matrix(Frozen):
     """Label to a name or folder, as `load_policy` takes it, or to the folders of several trained seeds."""
     studies: tuple[Study, ...]
 
+    _seed = field_validator("seed")(checked_seed)
+
     @field_validator("ports")
     @classmethod
     def _ports(cls, value):
@@ -105,8 +107,10 @@ def read_matrix(path: Path) -> Matrix:
     """
     try:
         return Matrix.model_validate(tomllib.loads(read_text(path)))
-    except (tomllib.TOMLDecodeError, ValidationError) as error:
-        raise ValueError(f"{path} is no evaluation matrix: {plain(error)}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{path} is not valid TOML: {error}") from None
+    except ValidationError as error:
+        raise ValueError(f"{path} is no evaluation matrix: {mistakes(error, Matrix)}") from None
 
 
 @dataclass(frozen=True)

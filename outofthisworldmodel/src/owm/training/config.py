@@ -1,6 +1,7 @@
 """How a world model is trained: a frozen, validated configuration and its presets."""
 
 import math
+from functools import partial
 from typing import Annotated, Literal
 
 from pydantic import (
@@ -11,11 +12,13 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    field_validator,
     model_validator,
 )
 
 from owm.model.config import PRESETS as MODELS
 from owm.model.config import ModelConfig
+from owm_envs.words import checked_seed
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -23,7 +26,7 @@ Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 class TrainConfig(BaseModel):
     """Everything a run depends on beside its data; equal configuration and data give equal weights on one machine."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     model: ModelConfig = ModelConfig()
     """The network to train."""
@@ -71,6 +74,8 @@ class TrainConfig(BaseModel):
     """Latest saves whose weights stay under `checkpoints`, to be compared."""
     seed: int = 0
     """Of weights, batches, noise and the choice of validation windows."""
+
+    _seed = field_validator("seed")(partial(checked_seed, bits=32))
 
     @model_validator(mode="after")
     def _check(self) -> "TrainConfig":

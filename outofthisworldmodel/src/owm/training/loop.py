@@ -15,8 +15,8 @@ import orbax.checkpoint as ocp
 from jax.sharding import Mesh
 from rich.console import Console
 
-from owm.checkpoint import read_checkpoint, save_world_model
-from owm.data.windows import Episodes
+from owm.checkpoint import CheckpointError, check_finite, read_checkpoint, save_world_model
+from owm.data.windows import Episodes, Windows
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
 from owm.training import rundir
@@ -24,7 +24,7 @@ from owm.training.autobatch import compiled_bytes, largest_batch, memory_budget
 from owm.training.config import TrainConfig
 from owm.training.metrics import Metrics, View
 from owm.training.step import TrainState, batch_mesh, initial_state, put, train_chunk
-from owm.training.validation import validate, validation_sets
+from owm.training.validation import coasting_score, validate, validation_sets
 from owm_envs.claims import Claim
 
 
@@ -76,10 +76,11 @@ def train(
         wandb: project of Weights & Biases to send the metrics to as well.
 
     Raises:
-        ValueError: if the data doesn't fit the configuration, or batch, memory and devices don't go together.
+        ValueError: if the data doesn't fit the configuration or holds too little to learn from, batch, memory and
+            devices don't go together, or the best weights predict no better than constant velocity.
         FolderTaken: `out_dir` holds another run or something else.
         CheckpointError: its run is damaged.
-        FloatingPointError: the loss diverged.
+        FloatingPointError: a statistic, the loss or the validation score is not finite.
     """
     _check_data(config, episodes_train, episodes_val)
     fingerprint = {
@@ -100,7 +101,7 @@ def train(
     console = Console() if console is None else console
     devices = _devices(found["devices"] if found else config.devices)
     mesh = batch_mesh(devices)
-    statistics = STREAMS[config.model.stream].fit(episodes_train)
+    statistics = _fitted(config, episodes_train)
     rows = jax.tree.map(jnp.asarray, (episodes_train.observation, episodes_train.action))
     dtype = rows[1].dtype
     depths = {depth for _, depth in config.rollouts}
@@ -139,6 +140,12 @@ def train(
     }
     state = _run(config, statistics, rows, starts, episodes_val, out, mesh, dtype, console, name, said, wandb)
     model = LearnedWorldModel(config.model, Params(state.best_network, statistics), name)
+    trivial = coasting_score(config.model, validation_sets(config, episodes_val))
+    if not float(state.best_score) < trivial:
+        raise ValueError(
+            f"the best weights score {float(state.best_score):.4g} in validation, constant velocity {trivial:.4g}: not "
+            f"published; train for more steps, or {_MORE}"
+        )
     said |= {"score": float(state.best_score), "step": int(state.best_step)}
     save_world_model(model, out / "model", about=said)
     return TrainResult(model, said["score"], said["step"], out / "model", metrics_file)
@@ -168,7 +175,7 @@ def _run(
         with Metrics(out, step or -1, wandb, about) as metrics, View(console, config.steps, step) as view:
             if step == 0:
                 # Untrained, the model is its least-squares map: what is published never scores worse than that.
-                line = {"step": 0} | validate(model, model.params, sets)
+                line = {"step": 0} | _judged(model, model.params, sets, 0)
                 state = _keep_best(state, line["score"])
                 metrics.write(line)
                 view.update(line)
@@ -186,7 +193,7 @@ def _run(
                 line = {"step": step, "rollout": depth, **terms, "gradient_norm": float(norms.mean())}
                 save = step % config.save_every == 0 or step >= config.steps
                 if save:
-                    line |= validate(model, Params(network, statistics), sets)
+                    line |= _judged(model, Params(network, statistics), sets, step)
                     state = _keep_best(state, line["score"])
                     saved = LearnedWorldModel(config.model, Params(network, statistics), f"{name}, step {step}")
                     told = about | {"score": line["score"], "step": step}
@@ -196,6 +203,33 @@ def _run(
                     manager.save(step, args=ocp.args.StandardSave(state))
                 view.update(line)
     return state
+
+
+def _fitted(config: TrainConfig, episodes: Episodes) -> Any:
+    """The statistics of the training episodes.
+
+    Raises:
+        FloatingPointError: one is not finite.
+    """
+    try:
+        statistics = STREAMS[config.model.stream].fit(episodes)
+        check_finite(statistics)
+    except (CheckpointError, np.linalg.LinAlgError) as error:
+        raise FloatingPointError(f"of the training episodes' statistics, {error}; {_MORE}") from None
+    return statistics
+
+
+def _judged(model: LearnedWorldModel, params: Params, sets: dict[str, Windows], step: int) -> dict[str, float]:
+    """What `validate` says.
+
+    Raises:
+        FloatingPointError: the score is not finite.
+    """
+    line = validate(model, params, sets)
+    if not np.isfinite(line["score"]):
+        cause = _MORE if step == 0 else f"lower learning_rate, or {_MORE}"
+        raise FloatingPointError(f"predictions diverge in validation at step {step}: the score is not finite; {cause}")
+    return line
 
 
 def _keep_best(state: TrainState, score: float) -> TrainState:
@@ -220,6 +254,12 @@ def _devices(wanted: int | None) -> int:
     return wanted or there
 
 
+_MORE = "record more flights, of different policies (owm-envs generate --transitions 20000 or more)"
+"""What to do about data that teach nothing."""
+_PARTS = {"position": slice(0, 3), "velocity": slice(3, 6), "body rate": slice(10, 13)}
+"""Of a view; attitude varies as the rate does."""
+
+
 def _check_data(config: TrainConfig, train: Episodes, val: Episodes) -> None:
     for role, episodes in (("training", train), ("validation", val)):
         if abs(episodes.dt - config.model.dt) > 1e-9:
@@ -230,3 +270,17 @@ def _check_data(config: TrainConfig, train: Episodes, val: Episodes) -> None:
             episodes.starts(config.model.history_length + depth)
         except ValueError as error:
             raise ValueError(f"{role} episodes are too short for rollouts of {depth} steps: {error}") from None
+    windows = len(train.starts(config.model.history_length + longest))
+    if isinstance(config.batch, int) and windows < config.batch:
+        raise ValueError(f"the training episodes hold {windows} windows, fewer than batch={config.batch}; {_MORE}")
+    rows = train.starts(2)  # of an episode's last row the action is padding
+    columns = {"force": train.action[rows, :3], "torque": train.action[rows, 3:]}
+    columns |= {part: train.observation[rows, numbers] for part, numbers in _PARTS.items()}
+    still = [
+        f"{name} {axis}"
+        for name, numbers in columns.items()
+        for axis, column in zip("xyz", numbers.T)
+        if np.ptp(column) <= 1e-6 * np.abs(column).max()
+    ]
+    if still:
+        raise ValueError(f"the training episodes never vary {', '.join(still)}: nothing can be learned of it; {_MORE}")

@@ -109,6 +109,8 @@ class View:
 
     def __exit__(self, *error: object) -> None:
         self._live.__exit__(*error)
+        if not self._live.console.is_interactive:
+            self._live.console.print()  # ends the line, as `Progress` does
 
     def update(self, line: dict[str, Any]) -> None:
         """Show the numbers of a step."""

@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from owm.data.windows import Episodes, Windows, history_of
+from owm.model.config import ModelConfig
 from owm.model.world_model import LearnedWorldModel, Params
-from owm.motion.kinematics import view_error
+from owm.motion.kinematics import advance, to_motion, to_view, view_error
 from owm.scores.calibration import sample_views
 from owm.scores.prediction import window_errors
 from owm.training.config import TrainConfig
@@ -37,6 +38,33 @@ def validation_sets(config: TrainConfig, episodes: Episodes) -> dict[str, Window
     return sets
 
 
+def _norms(a: Float[Array, "F 13"], b: Float[Array, "F 13"]) -> Float[Array, "F 4"]:
+    """Norms of the four errors between views, SI."""
+    return jnp.linalg.norm(jax.vmap(view_error)(a, b).reshape(-1, 4, 3), axis=-1)
+
+
+def _weighed(norms: Float[np.ndarray, "B F 4"]) -> float:
+    """Their mean over windows and horizons in `SCORE_UNITS`, added up."""
+    return float(np.sum(np.asarray(norms, np.float64).mean(axis=(0, 1)) / np.asarray(SCORE_UNITS)))
+
+
+def coasting_score(config: ModelConfig, sets: dict[str, Windows]) -> float:
+    """What `validate` would say of constant velocity and body rate: a model that scores worse is of no use."""
+
+    @jax.jit
+    @jax.vmap
+    def errors(observation: Float[Array, "L 13"]) -> Float[Array, "F 4"]:
+        last, measured = observation[config.history_length - 1], observation[config.history_length :]
+
+        def coast(motion, _):
+            motion = advance(motion, jnp.zeros_like(last[:6]), config.dt)
+            return motion, to_view(motion)
+
+        return _norms(jax.lax.scan(coast, to_motion(last, last), length=len(measured))[1], measured)
+
+    return float(np.mean([_weighed(errors(windows.observation)) for windows in sets.values()]))
+
+
 @partial(jax.jit, static_argnames=("model",))
 def energy_scores(model: LearnedWorldModel, params: Params, windows: Windows) -> Float[Array, "B F 4"]:
     """Score two sampled rollouts of every window against the measurements, SI: strictly proper, lower is better.
@@ -44,15 +72,12 @@ def energy_scores(model: LearnedWorldModel, params: Params, windows: Windows) ->
     For a model without spread it is the error. Source: Gneiting and Raftery (2007), J. Am. Stat. Assoc. 102, eq. 22.
     """
 
-    def norms(a: Array, b: Array) -> Array:
-        return jnp.linalg.norm(jax.vmap(view_error)(a, b).reshape(-1, 4, 3), axis=-1)
-
     def one(key: Array, observation: dict[str, Array], action: Array) -> Array:
         length = model.history_length
         history = history_of(observation, action, length, length)
         first, second = sample_views(model, params, key, history, action[length - 1 :], 2)
         measured = observation[STATE][length:]
-        return 0.5 * (norms(first, measured) + norms(second, measured) - norms(first, second))
+        return 0.5 * (_norms(first, measured) + _norms(second, measured) - _norms(first, second))
 
     keys = jax.random.split(jax.random.key(0), len(windows.action))
     return jax.vmap(one)(keys, windows.observation, windows.action)
@@ -65,20 +90,15 @@ def validate(model: LearnedWorldModel, params: Params, sets: dict[str, Windows])
     added up; `energy` the same of sampled rollouts, which is lower the better their spread is. `score` alone, which
     chooses the best weights, is the mean of all of them. Errors are those at the last horizon.
     """
-
-    def weighed(norms: Float[np.ndarray, "B F 4"]) -> float:
-        return float(np.sum(norms.mean(axis=(0, 1)) / np.asarray(SCORE_UNITS)))
-
     line = {}
     for name, windows in sets.items():
         context = jnp.full(len(windows.action), model.history_length, jnp.int32)
         _, error = window_errors(model, params, windows, context)
         error = np.asarray(error, np.float64)
         last = error[:, -1].mean(axis=0)
-        energy = np.asarray(energy_scores(model, params, windows), np.float64)
         line |= {
-            f"{name}/score": weighed(error),
-            f"{name}/energy": weighed(energy),
+            f"{name}/score": _weighed(error),
+            f"{name}/energy": _weighed(energy_scores(model, params, windows)),
             f"{name}/position_m": float(last[0]),
             f"{name}/velocity_mps": float(last[1]),
             f"{name}/attitude_deg": float(np.rad2deg(last[2])),

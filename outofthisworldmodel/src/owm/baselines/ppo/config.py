@@ -1,8 +1,20 @@
 """How the reinforcement learning baseline is trained: a frozen configuration and its presets."""
 
+from functools import partial
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    PositiveInt,
+    field_validator,
+    model_validator,
+)
+
+from owm_envs.words import checked_seed
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 
@@ -10,7 +22,7 @@ Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 class PPOConfig(BaseModel):
     """The paper's table of its PPO baseline; the task is the preset "rl" of `owm_envs`, its reward included."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     env: Literal["iss", "iss-hcw", "iss-numerical"] = "iss-numerical"
     """Fidelity of the simulation."""
@@ -52,6 +64,8 @@ class PPOConfig(BaseModel):
     """Fixed starts, spread over the train ports, that choose the best policy."""
     seed: int = 0
     """Of weights, exploration and starts."""
+
+    _seed = field_validator("seed")(partial(checked_seed, bits=32))
 
     @model_validator(mode="after")
     def _check(self) -> "PPOConfig":

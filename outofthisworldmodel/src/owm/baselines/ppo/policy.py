@@ -15,7 +15,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from owm.baselines.ppo.features import FEATURES, with_field
-from owm.checkpoint import CheckpointError, write_checkpoint
+from owm.checkpoint import CheckpointError, check_finite, write_checkpoint
 from owm_envs.config import DockingConfig
 from owm_envs.env import DockingEnv
 from owm_envs.field import GeodesicField
@@ -38,6 +38,7 @@ def save_policy(folder: Path, weights: dict[str, np.ndarray], about: dict[str, A
         weights: `weight.i` (outputs, inputs) and `bias.i` of each layer, `mean` and `variance` of the observation.
         about: JSON-able facts; `observation`, the names of its numbers, and `observe_field` are needed.
     """
+    check_finite(weights)
     data = save_tensors({name: np.ascontiguousarray(array, np.float32) for name, array in weights.items()})
     header = {"format": FORMAT, "kind": "ppo", "sha256": sha256(data).hexdigest(), "about": about}
     write_checkpoint(folder, header, {"weights.safetensors": data})
@@ -131,6 +132,7 @@ def _read(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         if sha256(data).hexdigest() != header["sha256"]:
             raise CheckpointError(f"{folder / 'weights.safetensors'} does not match config.json")
         about, weights = header["about"], load_tensors(data)
+        check_finite(weights)
         size = len(about["observation"]) + FEATURES * about["observe_field"]
         if weights["mean"].shape != (size,) or weights["weight.0"].shape[1] != size:
             raise CheckpointError(f"{folder} observes {size} numbers, its weights {weights['mean'].shape}")

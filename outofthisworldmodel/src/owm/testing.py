@@ -1,0 +1,127 @@
+"""`check_world_model`: whether a world model of a user's own keeps the contract of `owm.interface`."""
+
+import inspect
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from owm.interface import History, WorldModel, check_complete
+from owm.motion.kinematics import advance, to_motion, to_view, view_error
+
+_START = (60.0, -40.0, 30.0, -0.2, 0.1, -0.1, 0.5, 0.5, -0.5, 0.5, 2e-3, -1e-3, 1e-3)
+_ACTION = (200.0, -150.0, 100.0, 40.0, -30.0, 20.0)
+_FAR = (5.0, 1.0, 0.2, 0.05)
+"""m, m/s, rad, rad/s: what an estimate may be off the last of its noiseless measurements."""
+_ROUNDING = 1e-3
+
+
+def check_world_model(model: WorldModel) -> None:
+    """Check that a world model can be planned with and scored, at the precision that it computes in.
+
+    In this order: its parts; that it can be a static argument; that its functions can be traced and keep types and
+    shapes of the state (`lax.scan` carries it); the view that `decode` reads out; finite numbers, from a history of a
+    single measurement too; the same step twice; vmap equals a loop; samples that follow their key.
+
+    Raises:
+        AssertionError: naming the check that failed, what was expected and what came, on one line.
+    """
+    _expect(not inspect.isclass(model), "interface", "an object, made with its class", f"the class {model!r}")
+    try:
+        check_complete(model)
+    except TypeError as error:
+        raise AssertionError(f"interface: {error}") from None
+    length, dt = model.history_length, model.dt
+    _expect(isinstance(model.name, str), "interface", "name to be text", repr(model.name))
+    whole = isinstance(length, int | np.integer) and length > 0
+    _expect(whole, "interface", "history_length to be a whole number from 1 on", repr(length))
+    _expect(isinstance(dt, float | int) and dt > 0, "interface", "dt to be a positive number of seconds", repr(dt))
+    try:
+        hash(model)
+    except TypeError as error:
+        raise AssertionError(f"static: expected a model that can be hashed (a frozen dataclass), got {error}") from None
+    with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
+        _check_functions(model, _history(int(length), float(dt)))
+
+
+def _expect(passed: Any, check: str, expected: str, came: Any) -> None:
+    if not bool(passed):
+        raise AssertionError(" ".join(f"{check}: expected {expected}, got {came}".split()))
+
+
+def _history(length: int, dt: float) -> History:
+    """Measurements of a body that coasts."""
+    motion = to_motion(jnp.asarray(_START, jnp.float32), jnp.asarray(_START, jnp.float32))
+    views = [to_view(motion)]
+    for _ in range(length - 1):
+        motion = advance(motion, jnp.zeros(6, jnp.float32), dt)
+        views.append(to_view(motion))
+    return History(jnp.stack(views), jnp.zeros((length - 1, 6), jnp.float32), jnp.ones(length, bool))
+
+
+def _check_functions(model: WorldModel, history: History) -> None:
+    params, view, action = model.params, history.observation[-1], jnp.asarray(_ACTION, jnp.float32)
+    key = jax.random.key(0)
+    functions = {
+        "encode": lambda params, history: model.encode(params, history),
+        "step": lambda params, state: model.step(params, None, action, state),
+        "step with a key": lambda params, state: model.step(params, key, action, state),
+        "observe": lambda params, state: model.observe(params, state, action, view),
+        "decode": lambda params, state: model.decode(params, state),
+    }
+
+    def outline(name: str, *given: Any) -> Any:
+        try:
+            return jax.eval_shape(functions[name], *given)
+        except jax.errors.JAXTypeError as error:  # Python's `if`, `float()` or NumPy on a traced value
+            raise AssertionError(f"jit: expected {name} to be traceable, got {str(error).splitlines()[0]}") from error
+
+    state = outline("encode", params, history)
+    for name in ("step", "step with a key", "observe"):
+        after = outline(name, params, state)
+        shapes = [[(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)] for tree in (state, after)]
+        same = jax.tree.structure(after) == jax.tree.structure(state) and shapes[0] == shapes[1]
+        _expect(same, "types", f"{name} to return a state like encode's, {state}", after)
+    seen = outline("decode", params, state)
+    _expect(isinstance(seen, dict) and "state" in seen, "types", 'decode to return a dict with "state"', seen)
+    form = seen["state"]
+    _expect(form.shape == (13,), "types", 'the view "state" to be of shape (13,)', form.shape)
+    _expect(jnp.issubdtype(form.dtype, jnp.floating), "types", 'the view "state" to be of floats', form.dtype)
+
+    def flight(params, history, key):
+        """The view now, after a step, and after a measurement."""
+        state = model.encode(params, history)
+        stepped = model.step(params, key, action, state)
+        measured = model.observe(params, state, action, view)
+        return [model.decode(params, each)["state"] for each in (state, stepped, measured)]
+
+    compiled = jax.jit(flight)
+    views = np.asarray(compiled(params, history, None))
+    single = history._replace(
+        observation=jnp.broadcast_to(view, history.observation.shape),
+        valid=jnp.arange(len(history.valid)) == len(history.valid) - 1,
+    )
+    for given, of in ((history, "a whole history"), (single, "a history of a single measurement")):
+        found = np.asarray(compiled(params, given, None))
+        _expect(np.isfinite(found).all(), "finite numbers", f"finite views from {of}", found.tolist())
+        off = np.linalg.norm(np.asarray(view_error(jnp.asarray(found[0], jnp.float32), view)).reshape(4, 3), axis=1)
+        near = (off < np.array(_FAR)).all()
+        _expect(
+            near, "station frame", f"encode and decode to give the last measurement of {of}", f"one off by {off} SI"
+        )
+    sizes = np.linalg.norm(views[:, 6:10], axis=1)
+    _expect(np.abs(sizes - 1).max() < _ROUNDING, "unit quaternion", "attitudes of length 1", sizes.tolist())
+    again = np.asarray(compiled(params, history, None))
+    _expect(np.array_equal(again, views), "the same step twice", f"{views[1]} without a key", again[1])
+    keys = jax.random.split(jax.random.key(1), 2)
+    batch = jax.jit(jax.vmap(flight, (None, None, 0)))(params, history, keys)
+    loop = [compiled(params, history, key) for key in keys]
+    _alike([[part[i] for part in batch] for i in range(2)], np.asarray(loop), "vmap equals a loop")
+    _alike([compiled(params, history, keys[0])], np.asarray(loop[:1]), "the same key, the same sample")
+
+
+def _alike(came: Any, expected: np.ndarray, check: str) -> None:
+    came = np.asarray(came)
+    close = np.allclose(came, expected, rtol=_ROUNDING, atol=_ROUNDING)
+    _expect(close, check, f"{expected.tolist()}", came.tolist())
