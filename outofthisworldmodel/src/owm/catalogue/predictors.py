@@ -13,6 +13,7 @@ from owm.baselines.constant_velocity import ConstantVelocity
 from owm.baselines.ekf import HELD_COMMANDS, RECORDED_COMMANDS, ErrorStateEKF
 from owm.baselines.exact import ExactDynamics
 from owm.baselines.least_squares import fit_least_squares
+from owm.catalogue.hub import checkpoint_folder
 from owm.catalogue.policies import content_digest, read_model
 from owm.console import announce, bar
 from owm.data.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes

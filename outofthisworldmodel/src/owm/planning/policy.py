@@ -17,7 +17,7 @@ from owm.planning.config import PlannerConfig
 from owm.planning.cost import Goal
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
 from owm_envs.cores import workers
-from owm_envs.env import docking_env
+from owm_envs.env import DockingEnv, docking_env
 from owm_envs.field import GeodesicField, field_rows
 from owm_envs.flags import own_flags
 from owm_envs.policies import SlotPolicy, Slots
