@@ -1,9 +1,10 @@
 """How mistakes are put into words, everywhere alike."""
 
 import difflib
+from collections.abc import Iterable
 
 
-def unknown(kind: str, name: object, known) -> str:
+def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     """An error message for an unknown name, suggesting the nearest known one."""
     near = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]!r}?" if near else ""

@@ -1,5 +1,6 @@
 """Gymnasium's `Env` and `VectorEnv` over the compiled batch; the scalar one is a batch of one."""
 
+import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics, require_dynamics
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import Outcome
+from owm_envs.task.observation import ObservationLayout
 from owm_envs.words import unknown
 
 _PORTS = np.array(PORT_NAMES)
@@ -44,7 +46,7 @@ class _Shell:
         return spaces.Box(-np.inf, np.inf, (layout.size,), np.float32), action_space
 
     @property
-    def layout(self):
+    def layout(self) -> ObservationLayout:
         """How observations and actions are laid out."""
         return self.docking_env.layout
 
@@ -153,13 +155,18 @@ class DockingGymEnv(_Shell, gymnasium.Env):
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": 20}  # noqa: RUF012 - Gymnasium's interface
 
     def __init__(
-        self, config=None, render_mode: str | None = None, *, dynamics: Dynamics | None = None, **overrides: Any
+        self,
+        config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
+        render_mode: str | None = None,
+        *,
+        dynamics: Dynamics | None = None,
+        **overrides: Any,
     ):
         spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode, dynamics)
         self.observation_space, self.action_space = spaces_
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
 
-    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; without a seed it follows from the last one."""
         options = self._check_options(options, ("dock_port",))
         ports = self._slot_ports(options)
@@ -174,7 +181,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         self._new_paths(info, [0])
         return observation[0].copy(), _scalar_info(info)
 
-    def step(self, action):
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Hold an action [N, N m] (or fractions of the limits when normalised) for one decision."""
         actions = self._actions(action, (6,))
         if not np.isfinite(actions).all():
@@ -190,7 +197,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             _scalar_info(output.info),
         )
 
-    def render(self):
+    def render(self) -> np.ndarray | None:
         """The current state as an RGB picture, or None without a render mode."""
         return None if self.render_mode is None else self._picture(0)
 
@@ -221,7 +228,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        config=None,
+        config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         *,
@@ -249,7 +256,9 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self._observation = np.zeros(self.observation_space.shape, np.float32)
         self._ended = np.zeros(num_envs, bool)
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options=None):
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode in every slot, or in those of `options["reset_mask"]`."""
         options = self._check_options(options, ("dock_port", "reset_mask"))
         ports = self._slot_ports(options)
@@ -275,7 +284,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self._new_paths(info, np.flatnonzero(mask))
         return self._observation.copy(), _vector_info(info, mask)
 
-    def step(self, actions):
+    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Hold one action (num_envs, 6) per slot for one decision."""
         actions = self._actions(actions, (self.num_envs, 6))
         if not np.isfinite(actions).all():
@@ -298,7 +307,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         terminated, truncated = result.terminated.copy(), result.truncated.copy()
         return self._observation.copy(), result.reward.astype(np.float64), terminated, truncated, info
 
-    def render(self):
+    def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture per slot, or None without a render mode."""
         return None if self.render_mode is None else tuple(self._picture(i) for i in range(self.num_envs))
 

@@ -1,5 +1,7 @@
 """The card that explains a dataset to whoever finds it."""
 
+from typing import Any
+
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.schema import FEATURES
 from owm_envs.episode import POLICY_NAMES
@@ -19,7 +21,7 @@ _MEANING = {
 }
 
 
-def dataset_card(config: DockingConfig, request, summary: dict) -> str:
+def dataset_card(config: DockingConfig, request: Any, summary: dict) -> str:
     """Markdown with the header the Hugging Face hub reads."""
     lines = [
         "---",

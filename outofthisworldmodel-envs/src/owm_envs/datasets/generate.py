@@ -196,7 +196,13 @@ def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dic
 class _Recorder:
     """Flies batches of the planned flights; the simulator is built and compiled at the first one needed."""
 
-    def __init__(self, config, request, announce, progress):
+    def __init__(
+        self,
+        config: DockingConfig,
+        request: Request,
+        announce: Callable[..., None],
+        progress: Callable[..., None],
+    ):
         self.config, self.request = config, request
         self.announce, self.progress = announce, progress
         self.longest = config.horizon_decisions

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import (
@@ -16,7 +17,7 @@ from owm_envs.task.events import safe_norm
 from owm_envs.task.noise_stream import standard_normal
 
 
-def start_bias(dtype, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
+def start_bias(dtype: DTypeLike, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
     """A time-correlated error of unit variance per axis at the start of an episode: already stationary."""
     return jax.random.normal(key, (4, 3), jnp.float32).astype(dtype)
 
