@@ -3,11 +3,11 @@
 import difflib
 import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, get_args
 
 
-def unknown(kind: str, name: object, known) -> str:
+def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     """An error message for an unknown name, suggesting the nearest known one."""
     near = difflib.get_close_matches(str(name), list(known), n=1, cutoff=0.5)
     hint = f"; did you mean {near[0]!r}?" if near else ";"

@@ -94,13 +94,15 @@ class BatchProgram:
         """The key of its seed for each slot that is seeded, that of the next episode for the others."""
         return np.where(seeded[:, None], self.keys(seeds), self.next_keys(state))
 
-    def reset(self, keys, ports) -> tuple[State, Seen, dict[str, np.ndarray]]:
+    def reset(self, keys: np.ndarray, ports: np.ndarray) -> tuple[State, Seen, dict[str, np.ndarray]]:
         """Start an episode in every slot: keys (B, 2), ports (B,) with -1 for a drawn one."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(lambda k, part: self._programs.reset(self._packed, keys[part], ports[part]))
         return state, *self._programs.of_seen.unpack(host)
 
-    def reset_where(self, state: State, mask, keys, ports) -> tuple[State, Seen, dict[str, np.ndarray]]:
+    def reset_where(
+        self, state: State, mask: np.ndarray, keys: np.ndarray, ports: np.ndarray
+    ) -> tuple[State, Seen, dict[str, np.ndarray]]:
         """Start an episode in the slots of `mask` (B,); the observation is meaningful there only."""
         ports = np.asarray(ports, np.int32)
         state, host = self._side_by_side(
@@ -248,7 +250,7 @@ def joined(pieces: Sequence[Any]) -> Any:
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *pieces)
 
 
-def select(mask, new, old):
+def select(mask: jax.Array, new: Any, old: Any) -> Any:
     """Leaf by leaf, `new` in the slots of `mask` (B,) and `old` elsewhere."""
     return jax.tree.map(lambda n, o: jnp.where(jnp.reshape(mask, mask.shape + (1,) * (n.ndim - 1)), n, o), new, old)
 

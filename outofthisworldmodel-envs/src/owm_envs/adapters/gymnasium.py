@@ -1,5 +1,6 @@
 """Gymnasium's `Env` and `VectorEnv` over the compiled batch; the scalar one is a batch of one."""
 
+import os
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -18,6 +19,7 @@ from owm_envs.dynamics import Dynamics
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
+from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.sensors import Sensor
 from owm_envs.words import checked_seed, unknown
 
@@ -45,7 +47,7 @@ class _Shell:
         return space_of(self.docking_env.observation_parts), action_space
 
     @property
-    def layout(self):
+    def layout(self) -> ObservationLayout:
         """How observations and actions are laid out."""
         return self.docking_env.layout
 
@@ -155,7 +157,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
 
     def __init__(
         self,
-        config=None,
+        config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
         render_mode: str | None = None,
         *,
         dynamics: Dynamics | None = None,
@@ -166,7 +168,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         self.observation_space, self.action_space = spaces_
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
 
-    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; without a seed it follows from the last one."""
         options = self._check_options(options, ("dock_port",))
         ports = self._slot_ports(options)
@@ -181,7 +183,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         self._new_paths(info, [0])
         return _first(observation), scalar_info(info, 0)
 
-    def step(self, action):
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Hold an action [N, N m] (or fractions of the limits when normalised) for one decision."""
         actions = self._actions(action, (6,))
         if not np.isfinite(actions).all():
@@ -197,7 +199,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             scalar_info(output.info, 0),
         )
 
-    def render(self):
+    def render(self) -> np.ndarray | None:
         """The current state as an RGB picture, or None without a render mode."""
         return None if self.render_mode is None else self._picture(0)
 
@@ -228,7 +230,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        config=None,
+        config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         *,
@@ -257,7 +259,9 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self._observation: Shown | None = None
         self._ended = np.zeros(num_envs, bool)
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options=None):
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start an episode in every slot, or in those of `options["reset_mask"]`."""
         options = self._check_options(options, ("dock_port", "reset_mask"))
         ports = self._slot_ports(options)
@@ -284,7 +288,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self._new_paths(info, np.flatnonzero(mask))
         return each(np.copy, self._observation), _vector_info(info, mask)
 
-    def step(self, actions):
+    def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Hold one action (num_envs, 6) per slot for one decision."""
         actions = self._actions(actions, (self.num_envs, 6))
         if not np.isfinite(actions).all():
@@ -307,7 +311,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         terminated, truncated = result.terminated.copy(), result.truncated.copy()
         return each(np.copy, self._observation), result.reward.astype(np.float64), terminated, truncated, info
 
-    def render(self):
+    def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture per slot, or None without a render mode."""
         return None if self.render_mode is None else tuple(self._picture(i) for i in range(self.num_envs))
 

@@ -1,5 +1,6 @@
 """PettingZoo's `ParallelEnv` over a fleet: one compiled program and one host transfer a step for all chasers."""
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
@@ -17,7 +18,7 @@ from owm_envs.adapters.parts import Shown, each, shown, space_of
 from owm_envs.adapters.seeds import drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
-from owm_envs.env import FleetEnv, FleetState
+from owm_envs.env import FleetEnv, FleetLayout, FleetState, StepResult
 from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
 from owm_envs.task.events import Outcome
@@ -33,12 +34,16 @@ except ImportError as error:
     ) from error
 
 
-def parallel_env(num_chasers: int = 3, config=None, **kwargs: Any) -> "DockingParallelEnv":
+def parallel_env(
+    num_chasers: int = 3, config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None, **kwargs: Any
+) -> "DockingParallelEnv":
     """Several chasers to distinct ports at once, acting together: `DockingParallelEnv` of the same arguments."""
     return DockingParallelEnv(num_chasers, config, **kwargs)
 
 
-def raw_env(num_chasers: int = 3, config=None, **kwargs: Any) -> AECEnv:
+def raw_env(
+    num_chasers: int = 3, config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None, **kwargs: Any
+) -> AECEnv:
     """The same with the chasers acting in turn; time goes on when all of them have."""
     return parallel_to_aec(parallel_env(num_chasers, config, **kwargs))
 
@@ -65,13 +70,13 @@ class FleetProgram:
         with own_flags():
             return self.env.default_params()
 
-    def reset(self, key, ports) -> tuple[FleetState, Seen, dict[str, np.ndarray]]:
+    def reset(self, key: jax.Array, ports: np.ndarray) -> tuple[FleetState, Seen, dict[str, np.ndarray]]:
         """Start an episode: a key, ports (N,) with -1 for a drawn one."""
         with own_flags():
             state, *host = self._reset(self.params, key, np.asarray(ports, np.int32))
             return state, *jax.device_get(tuple(host))
 
-    def step(self, state, actions):
+    def step(self, state: FleetState, actions: np.ndarray) -> tuple[FleetState, StepResult, dict[str, np.ndarray]]:
         """Advance all chasers by one decision: actions (N, 6). Returns the state, a StepResult and the info."""
         with own_flags():
             state, *host = self._step(self.params, state, actions)
@@ -126,7 +131,7 @@ class DockingParallelEnv(ParallelEnv):
     def __init__(
         self,
         num_chasers: int = 3,
-        config=None,
+        config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
         *,
         observe_others: bool = True,
         sensors: Sequence[Sensor] = (),
@@ -160,7 +165,7 @@ class DockingParallelEnv(ParallelEnv):
         return self._program.env
 
     @property
-    def layout(self):
+    def layout(self) -> FleetLayout:
         """How an agent's observation is laid out: `layout.own` as that of a lone chaser, then the others."""
         return self._program.env.layout
 
@@ -177,7 +182,9 @@ class DockingParallelEnv(ParallelEnv):
         """The space of an agent's actions: body force and torque [N, N m], or fractions of the limits."""
         return self._action_spaces[agent]
 
-    def reset(self, seed: int | None = None, options: Mapping[str, Any] | None = None):
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode; without a seed it follows from the last one."""
         ports = self._ports(options or {})
         if seed is None and self._state is not None:
@@ -191,7 +198,7 @@ class DockingParallelEnv(ParallelEnv):
         self._paths = [[position] for position in self._info["true_state"][:, :3]]
         return self._by_agent(observations, self.agents), self._infos(self.agents)
 
-    def step(self, actions: Mapping[str, np.ndarray]):
+    def step(self, actions: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], ...]:
         """Hold each agent's action for one decision.
 
         Raises:

@@ -1,7 +1,7 @@
 """Stable-Baselines3's `VecEnv` over the native batch: one compiled program and one host transfer a step."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -83,7 +83,13 @@ class DockingVecEnv(VecEnv):
     """
 
     def __init__(
-        self, n_envs: int, config=None, *, infos: str = "ended", render_mode: str | None = None, **overrides: Any
+        self,
+        n_envs: int,
+        config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
+        *,
+        infos: str = "ended",
+        render_mode: str | None = None,
+        **overrides: Any,
     ):
         if infos not in _INFOS:
             raise ValueError(unknown("infos", infos, _INFOS))
@@ -137,20 +143,22 @@ class DockingVecEnv(VecEnv):
         """A picture per slot, or None for each without a render mode."""
         return list(self.batch.render() or [None] * self.num_envs)
 
-    def get_attr(self, attr_name: str, indices=None) -> list[Any]:
+    def get_attr(self, attr_name: str, indices: int | Sequence[int] | None = None) -> list[Any]:
         """An attribute of each chosen slot: what the batch shares, or what `set_attr` put there."""
         return [getattr(slot, attr_name) for slot in self._chosen(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices=None) -> None:
+    def set_attr(self, attr_name: str, value: Any, indices: int | Sequence[int] | None = None) -> None:
         """Set an attribute of one's own on the chosen slots; AttributeError for what the compiled batch shares."""
         for slot in self._chosen(indices):
             setattr(slot, attr_name, value)
 
-    def env_method(self, method_name: str, *method_args, indices=None, **method_kwargs) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: int | Sequence[int] | None = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Call `reset(seed=, options=)`, `render()` or a callable put there by `set_attr`, on the chosen slots."""
         return [getattr(slot, method_name)(*method_args, **method_kwargs) for slot in self._chosen(indices)]
 
-    def env_is_wrapped(self, wrapper_class, indices=None) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: type, indices: int | Sequence[int] | None = None) -> list[bool]:
         """False for each chosen slot: there are no Gymnasium wrappers inside; use `VecEnvWrapper`s outside."""
         return [False for _ in self._chosen(indices)]
 
@@ -184,7 +192,7 @@ class _Slot:
     def get_wrapper_attr(self, name: str) -> Any:
         return getattr(self, name)
 
-    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode in this slot alone: (observation, info)."""
         count = self._batch.num_envs
         seeds, ports = [None] * count, [None] * count

@@ -23,7 +23,7 @@ _MEANING = {
 _PART = "a further sensor's part of the observation; with `_valid`, whether it was measured at this very instant"
 
 
-def dataset_card(config: DockingConfig, request, summary: dict, parts: Mapping[str, Any]) -> str:
+def dataset_card(config: DockingConfig, request: Any, summary: dict, parts: Mapping[str, Any]) -> str:
     """Markdown with the header the Hugging Face hub reads."""
     lines = [
         "---",

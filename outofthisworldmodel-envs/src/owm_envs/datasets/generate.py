@@ -204,7 +204,15 @@ def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dic
 class _Recorder:
     """Flies batches of the planned flights; the simulator is built and compiled at the first one needed."""
 
-    def __init__(self, config, request, sensors, spill, announce, progress):
+    def __init__(
+        self,
+        config: DockingConfig,
+        request: Request,
+        sensors: "Sequence[Sensor]",
+        spill: Path,
+        announce: Callable[..., None],
+        progress: Callable[..., None],
+    ):
         self.config, self.request, self.sensors, self.spill = config, request, sensors, spill
         self.announce, self.progress = announce, progress
         self.longest = config.horizon_decisions

@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from astrojax.attitude import accel_euler, quat_derivative, quat_normalize, quat_rotate
 from astrojax.integrators import rk4_step
+from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
 
 
@@ -16,12 +18,14 @@ class FreeFlyer:
 
     has_epoch: ClassVar[bool] = False
 
-    def init(self, params, epoch, view):
+    def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """State with the relative view `view` (13,) at `epoch` (2,)."""
         chaser = VehicleState(view[:6], view[6:10], view[10:13])
         return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
-    def step(self, params, state, wrench, dt):
+    def step(
+        self, params: Params, state: PhysicalState, wrench: Float[Array, "6"], dt: Float[Array, ""]
+    ) -> PhysicalState:
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""
 
         def derivative(_, chaser):
@@ -36,6 +40,6 @@ class FreeFlyer:
         chaser = chaser._replace(attitude=quat_normalize(chaser.attitude))
         return state._replace(elapsed=state.elapsed + dt, chaser=chaser)
 
-    def relative_state(self, params, state):
+    def relative_state(self, params: Params, state: PhysicalState) -> Float[Array, "13"]:
         """The 13-number relative view: this fidelity's state already is one."""
         return jnp.concatenate(state.chaser)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from astrojax.attitude import (
     accel_euler,
@@ -20,10 +21,11 @@ from astrojax.attitude import (
 from astrojax.constants import GM_EARTH
 from astrojax.elements import mean_motion
 from astrojax.integrators import rk4_step
+from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
 
 
-def station_rate(params):
+def station_rate(params: Params) -> Float[Array, "3"]:
     """Angular rate (3,) rad/s of the station frame in its own axes."""
     n = mean_motion(params.chief.elements[0], GM_EARTH)
     return jnp.stack([n, jnp.zeros_like(n), jnp.zeros_like(n)])
@@ -35,14 +37,16 @@ class HillClohessyWiltshire:
 
     has_epoch: ClassVar[bool] = False
 
-    def init(self, params, epoch, view):
+    def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """State with the relative view `view` (13,) at `epoch` (2,)."""
         attitude = view[6:10]
         rate = view[10:13] + quat_rotate(quat_conjugate(attitude), station_rate(params))
         chaser = VehicleState(view[:6], attitude, rate)
         return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
-    def step(self, params, state, wrench, dt):
+    def step(
+        self, params: Params, state: PhysicalState, wrench: Float[Array, "6"], dt: Float[Array, ""]
+    ) -> PhysicalState:
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""
         frame_rate = station_rate(params)
         n = frame_rate[0]
@@ -66,7 +70,7 @@ class HillClohessyWiltshire:
         chaser = chaser._replace(attitude=quat_normalize(chaser.attitude))
         return state._replace(elapsed=state.elapsed + dt, chaser=chaser)
 
-    def relative_state(self, params, state):
+    def relative_state(self, params: Params, state: PhysicalState) -> Float[Array, "13"]:
         """The 13-number relative view of a state."""
         chaser = state.chaser
         rate = chaser.rate - quat_rotate(quat_conjugate(chaser.attitude), station_rate(params))

@@ -37,6 +37,7 @@ from astrojax.gravity import accel_zonal
 from astrojax.integrators import compensated_add, rk4_increment
 from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
+from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
 
 RTN_TO_STATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -75,7 +76,7 @@ class NumericalOrbits:
         relabel = jnp.asarray(RTN_TO_STATION, chief.dtype)
         return stored(_Frame(relabel @ rotation_eci_to_rtn(chief), relabel @ rtn_rate(chief, accel)))
 
-    def init(self, params, epoch, view):
+    def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """State with the relative view `view` (13,) at `epoch` (2,); the chief has come there on its Kepler orbit."""
         since = (epoch[0] - params.chief.epoch[0]) * 86_400.0 + (epoch[1] - params.chief.epoch[1])
         elements = propagate_keplerian(params.chief.elements, since, GM_EARTH)
@@ -93,7 +94,9 @@ class NumericalOrbits:
             lost = jax.tree.map(jnp.zeros_like, (elapsed, chief, chaser))
         return PhysicalState(epoch, elapsed, chief, chaser, lost)
 
-    def step(self, params, state, wrench, dt):
+    def step(
+        self, params: Params, state: PhysicalState, wrench: Float[Array, "6"], dt: Float[Array, ""]
+    ) -> PhysicalState:
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""
         forces = ForceModel(zonal_degree=self.zonal_degree, sun=self.sun, moon=self.moon, drag=self.drag)
         day, seconds = normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed)
@@ -128,7 +131,7 @@ class NumericalOrbits:
         elapsed, chief, chaser = motion
         return stored(PhysicalState(state.epoch, elapsed, chief, chaser, lost))
 
-    def relative_state(self, params, state):
+    def relative_state(self, params: Params, state: PhysicalState) -> Float[Array, "13"]:
         """The 13-number relative view of a state."""
         chaser = state.chaser
         frame = self._frame(state.chief)

@@ -3,7 +3,8 @@
 from typing import Any, NamedTuple, Protocol
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jax.typing import DTypeLike
+from jaxtyping import Array, ArrayLike, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
 from owm_envs.station import goal_poses
@@ -55,20 +56,29 @@ def limit_norm(vector: Float[Array, "3"], limit: Float[Array, ""] | float) -> Fl
     return vector * jnp.minimum(1, limit / jnp.maximum(safe_norm(vector), 1e-9))
 
 
-def pd_force(view: View, position, velocity, accel=0.0, *, mass) -> Float[Array, "3"]:
+def pd_force(
+    view: View,
+    position: Float[Array, "3"],
+    velocity: Float[Array, "3"] | float,
+    accel: Float[Array, "3"] | float = 0.0,
+    *,
+    mass: Float[Array, ""] | float,
+) -> Float[Array, "3"]:
     """Body force [N] towards a moving reference in the station frame, with feed-forward acceleration."""
     force = POSITION_GAIN * (position - view.position) + VELOCITY_GAIN * (velocity - view.velocity) + mass * accel
     return quat_rotate(quat_conjugate(view.attitude), force)
 
 
-def pd_torque(view: View, error: Float[Array, "3"], rate, *, inertia) -> Float[Array, "3"]:
+def pd_torque(
+    view: View, error: Float[Array, "3"], rate: Float[Array, "3"] | float, *, inertia: Float[ArrayLike, "3"]
+) -> Float[Array, "3"]:
     """Body torque [N m] for an attitude error (rotation vector to the reference) and a reference rate, body axes."""
     inertia = jnp.asarray(inertia, error.dtype)
     scale = inertia / jnp.max(inertia)
     return scale * (ATTITUDE_GAIN * error + RATE_GAIN * (rate - view.rate))
 
 
-def goal_of(port: Int[Array, ""], dtype) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+def goal_of(port: Int[Array, ""], dtype: DTypeLike) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
     """Hold position m and attitude of a port, station frame."""
     goal = jnp.asarray(goal_poses(), dtype)[port]
     return goal[:3], goal[3:]
@@ -88,5 +98,5 @@ def pointing_error(view: View, direction: Float[Array, "3"]) -> Float[Array, "3"
     return jnp.where(sine > 1e-9, jnp.arctan2(safe, z) / safe, 0) * across
 
 
-def wrench_limits(vehicle: Vehicle, dtype) -> Float[Array, "6"]:
+def wrench_limits(vehicle: Vehicle, dtype: DTypeLike) -> Float[Array, "6"]:
     return jnp.stack([jnp.asarray(vehicle.force_limit, dtype)] * 3 + [jnp.asarray(vehicle.torque_limit, dtype)] * 3)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
 from owm_envs.field import GeodesicField, clearance, cost_to_go, field_rows, load_field
@@ -42,11 +42,11 @@ class DockGeodesicPolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> Int[Array, ""]:
         """State: the port."""
         return jnp.asarray(port, jnp.int32)
 
-    def act(self, state, observation):
+    def act(self, state: Int[Array, ""], observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Int[Array, ""]]:
         """Track the field's velocity."""
         view = read_view(self.layout, observation)
         accel, angular = _track(self.field, self.rows, state, view)
@@ -77,11 +77,11 @@ class DockGeodesicIntegralPolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic-integral", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> Integral:
         """State: nothing added up."""
         return Integral(jnp.asarray(port, jnp.int32), jnp.zeros(3, jnp.float32), jnp.zeros(3, jnp.float32))
 
-    def act(self, state, observation):
+    def act(self, state: Integral, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Integral]:
         """Track the field's velocity with what has been added up."""
         view = read_view(self.layout, observation)
         dtype, vehicle = view.position.dtype, self.vehicle

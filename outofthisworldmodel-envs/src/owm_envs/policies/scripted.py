@@ -38,11 +38,11 @@ class RandomPolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="random", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> Key[Array, ""]:
         """State: the key of the next draw."""
         return key
 
-    def act(self, state, observation):
+    def act(self, state: Key[Array, ""], observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Key[Array, ""]]:
         """Draw an action."""
         next_key, key = jax.random.split(state)
         dtype = part(observation, STATE).dtype
@@ -75,7 +75,7 @@ class ExcitePolicy:
     """Decisions between draws."""
     name: str = field(default="excite", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> HoldState:
         """State: no wrench yet, this episode's amplitudes."""
         dtype = jnp.float32
         force = jax.random.uniform(named_key(key, "force"), (), dtype, 0.2, 1.0)
@@ -83,7 +83,7 @@ class ExcitePolicy:
         amplitude = jnp.stack([force] * 3 + [torque] * 3)
         return HoldState(named_key(key, "draws"), jnp.zeros((), jnp.int32), jnp.zeros(6, dtype), amplitude)
 
-    def act(self, state, observation):
+    def act(self, state: HoldState, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], HoldState]:
         """Hold, or draw anew."""
         view = read_view(self.layout, observation)
         dtype = view.position.dtype
@@ -122,7 +122,7 @@ class OrbitPolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="orbit", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> OrbitState:
         """Draw the circle."""
         dtype = jnp.float32
         axis = jax.random.normal(named_key(key, "axis"), (3,), dtype)
@@ -132,7 +132,7 @@ class OrbitPolicy:
         unit = axis / jnp.maximum(safe_norm(axis), 1e-9)
         return OrbitState(unit, radius, rate, jnp.zeros(3, dtype), jnp.zeros((), jnp.int32))
 
-    def act(self, state, observation):
+    def act(self, state: OrbitState, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], OrbitState]:
         """Follow the circle."""
         view = read_view(self.layout, observation)
         axis = state.axis
@@ -170,11 +170,11 @@ class DockPolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> Int[Array, ""]:
         """State: the port."""
         return jnp.asarray(port, jnp.int32)
 
-    def act(self, state, observation):
+    def act(self, state: Int[Array, ""], observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Int[Array, ""]]:
         """Pull towards the hold pose."""
         view = read_view(self.layout, observation)
         position, attitude = goal_of(state, view.position.dtype)

@@ -14,6 +14,7 @@ propellant. The gradient of an on-off wrench with respect to its command is zero
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_from_rotation_vector, quat_rotate
@@ -38,7 +39,7 @@ class ActuatorState(NamedTuple):
     pulses: Pulses | None
 
 
-def actuators_at_rest(longest_delay: int, on_off: bool, dtype) -> ActuatorState:
+def actuators_at_rest(longest_delay: int, on_off: bool, dtype: DTypeLike) -> ActuatorState:
     """No command on its way for up to `longest_delay` simulation steps, no pulse begun."""
     none = jnp.zeros(6, dtype)
     pulses = Pulses(none, none, jnp.zeros(6, jnp.int32)) if on_off else None

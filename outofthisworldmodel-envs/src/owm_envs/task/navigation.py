@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import (
@@ -37,7 +38,7 @@ class RelativeNavigation:
         return measure(truth.params.noise, truth.view, truth.bias, key=truth.stream, count=truth.count)
 
 
-def start_bias(dtype, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
+def start_bias(dtype: DTypeLike, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
     """A time-correlated error of unit variance per axis at the start of an episode: already stationary."""
     return jax.random.normal(key, (4, 3), jnp.float32).astype(dtype)
 

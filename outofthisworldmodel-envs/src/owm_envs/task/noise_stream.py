@@ -8,6 +8,7 @@ import math
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key, UInt32
 
 from astrojax.compilation import stored
@@ -34,7 +35,7 @@ def threefry2x32(
     return x, y
 
 
-def standard_normal(key: Key[Array, ""], count: Int[Array, ""] | int, size: int, dtype) -> Float[Array, "N"]:
+def standard_normal(key: Key[Array, ""], count: Int[Array, ""] | int, size: int, dtype: DTypeLike) -> Float[Array, "N"]:
     """The `count`-th draw of a stream: `size` (even) numbers of unit variance, to seven digits whatever the dtype.
 
     Args:
@@ -47,7 +48,9 @@ def standard_normal(key: Key[Array, ""], count: Int[Array, ""] | int, size: int,
     return box_muller(radius_bits, angle_bits, dtype)
 
 
-def box_muller(radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], dtype) -> Float[Array, "2*N"]:
+def box_muller(
+    radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], dtype: DTypeLike
+) -> Float[Array, "2*N"]:
     """Two independent standard normal numbers of each pair of random words: all cosines, then all sines.
 
     Source: Box and Muller (1958), Ann. Math. Statist. 29, 610. No number exceeds 5.9.

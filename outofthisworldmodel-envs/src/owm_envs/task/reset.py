@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply
@@ -25,7 +26,7 @@ def named_key(key: Key[Array, ""], name: str) -> Key[Array, ""]:
     return jax.random.fold_in(key, zlib.crc32(name.encode()))
 
 
-def isotropic(key: Key[Array, ""], dtype) -> Float[Array, "3"]:
+def isotropic(key: Key[Array, ""], dtype: DTypeLike) -> Float[Array, "3"]:
     """A unit vector, uniform on the sphere."""
     vector = jax.random.normal(key, (3,), dtype)
     norm = jnp.linalg.norm(vector)

@@ -8,7 +8,9 @@ from owm_envs.config.params import Params
 from owm_envs.task.events import safe_norm
 
 
-def pseudo_huber(error, delta, sigma):
+def pseudo_huber(
+    error: Float[Array, "..."], delta: Float[Array, "..."], sigma: Float[Array, "..."]
+) -> Float[Array, "..."]:
     """Quadratic below `delta`, then of slope 1 / `sigma`. Source: paper, equation of the pseudo-Huber loss."""
     return (jnp.sqrt(error * error + delta * delta) - delta) / sigma
 

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, PyTree
 
 
-def apply_where(mask: Bool[Array, "B"], fn: Callable[..., PyTree], otherwise: PyTree, *args: PyTree, chunk: int = 16):
+def apply_where(
+    mask: Bool[Array, "B"], fn: Callable[..., PyTree], otherwise: PyTree, *args: PyTree, chunk: int = 16
+) -> PyTree:
     """The results of `fn` where `mask` holds, and `otherwise` elsewhere.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
 from astrojax.constants import GM_EARTH
@@ -101,7 +101,7 @@ class ClassicalPolicy:
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="ekf-mpc", metadata=_STATIC)
 
-    def init(self, key, port):
+    def init(self, key: Key[Array, ""], port: Int[Array, ""]) -> ClassicalState:
         """State: nothing measured."""
         steps = self.problem.free_position.shape[0]
         return ClassicalState(
@@ -112,7 +112,7 @@ class ClassicalPolicy:
             accelerations=jnp.zeros((steps, 3), jnp.float32),
         )
 
-    def act(self, state, observation):
+    def act(self, state: ClassicalState, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], ClassicalState]:
         """Filter the measurement and take the first step of a new solution."""
         measured = self.layout.measured_view(observation)
         first = self.ekf.init(self.params, measured)

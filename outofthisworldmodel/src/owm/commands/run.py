@@ -1,16 +1,20 @@
 """What the commands `owm train`, `owm fly` and `owm evaluate` do."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 
 import jax
+import numpy as np
+from jaxtyping import Int
 
 from owm.baselines.ppo.config import PPOConfig
 from owm.catalogue.policies import content_digest, kind_of, load_policy
 from owm.console import announce, bar, console, flying
 from owm.data.recordings import corpus_facts, training_episodes
+from owm.data.windows import Episodes
+from owm.interface import WorldModel
 from owm.planning.config import PlannerConfig
 from owm.report.page import Table
 from owm.report.plots import save_figure, trajectory_figure
@@ -143,8 +147,8 @@ def fly(
 def fly_named(
     policy: str,
     config: DockingConfig,
-    seeds,
-    ports,
+    seeds: Int[np.ndarray, "N"],
+    ports: Int[np.ndarray, "N"],
     *,
     seed: int = 0,
     slots: int | None = None,
@@ -285,7 +289,13 @@ def _run_and_report(matrix, out: Path, command: str, extra=(), *, conditions=CON
     return write_matrix_report(matrix, flown, out, conditions=conditions, commands=command, extra=extra), flown
 
 
-def predict(models, episodes, windows: int, seed: int = 0, progress=None) -> list[PredictionError]:
+def predict(
+    models: Sequence[WorldModel],
+    episodes: Episodes,
+    windows: int,
+    seed: int = 0,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[PredictionError]:
     """Score models on the same windows, each at the precision it computes in.
 
     Args:

@@ -1,6 +1,7 @@
 """What reports and terminals say about flights and predictions, as tables of text."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -300,7 +301,7 @@ def calibration_table(calibrations: Sequence[Calibration], seconds: Sequence[flo
     return Table(["model (against)", "of", "horizon s", f"coverage of {levels} %", "CRPS", "spread / error"], rows)
 
 
-def to_rich(table: Table, title: str = ""):
+def to_rich(table: Table, title: str = "") -> Any:
     """The table for a terminal, as the rich library draws it."""
     from rich import box
     from rich.table import Table as Rich

@@ -94,7 +94,7 @@ class Flights:
         """One fingerprint of all starts: equal when two policies flew the same ones, in whatever order."""
         return sha256("".join(sorted(self.digest.tolist())).encode()).hexdigest()[:16]
 
-    def select(self, mask) -> "Flights":
+    def select(self, mask: Any) -> "Flights":
         """The flights of a mask or index."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         return Flights(**{k: v[mask] if isinstance(v, np.ndarray) else v for k, v in values.items()})
