@@ -16,6 +16,7 @@ from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.streams import STREAMS, Stream
 from owm.model.transformer import Perceptron
+from owm_envs.flags import own_promotion
 
 
 class Network(eqx.Module):
@@ -106,11 +107,13 @@ class LearnedWorldModel:
         statistics = fill(STREAMS[config.stream].skeleton(dtype), numbers)
         return cls(config, Params(fill(skeleton, contents.weights), statistics), contents.name)
 
+    @own_promotion()
     def encode(self, params: Params, history: History) -> ModelState:
         """Turn a history into the state from which `step` predicts; computed in the dtype of the weights."""
         history = _cast(params, history)
         return self.encode_sequence(params, history)[0]
 
+    @own_promotion()
     def encode_sequence(self, params: Params, history: History) -> tuple[ModelState, Any, Float[Array, "H-1 n d"]]:
         """Encode, and also return the carries of all measurements and the backbone's output at all but the last."""
         network, statistics = params
@@ -121,12 +124,14 @@ class LearnedWorldModel:
         last = jax.tree.map(lambda x: x[-1], carries)
         return ModelState(last, memory), carries, outputs[:, : network.stream.token_count]
 
+    @own_promotion()
     def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, PyTree]:
         """Run the backbone on the current step under an action; return its output for the stream's tokens."""
         network, statistics = params
         output, memory = network.backbone.step(network.tokens(statistics, state.carry, action), state.memory)
         return output[: network.stream.token_count], memory
 
+    @own_promotion()
     def step(
         self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
     ) -> ModelState:
@@ -139,6 +144,7 @@ class LearnedWorldModel:
         carry = network.stream.advance(statistics, state.carry, residual, action, self.dt, sampled=sampled)
         return ModelState(carry, memory)
 
+    @own_promotion()
     def observe(
         self, params: Params, state: ModelState, action: Float[Array, "6"], observation: Float[Array, "13"]
     ) -> ModelState:
@@ -148,6 +154,7 @@ class LearnedWorldModel:
         _, memory = self.attend(params, action, state)
         return ModelState(network.stream.observe(statistics, state.carry, action, observation, self.dt), memory)
 
+    @own_promotion()
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""
         return params.network.stream.decode(params.statistics, state.carry)

@@ -18,6 +18,7 @@ from owm.planning.config import Shape, Tuning
 from owm.planning.corrector import Corrector, apply, init_corrector, update
 from owm.planning.objective import sequence_cost
 from owm_envs.field import GeodesicField, clearance
+from owm_envs.flags import own_promotion
 
 
 class PlannerState(NamedTuple):
@@ -49,6 +50,7 @@ def interpolation(horizon: int, knots: int) -> Float[np.ndarray, "T N"]:
     return hat / np.linalg.norm(hat, axis=1, keepdims=True)
 
 
+@own_promotion()
 def sample_candidates(
     shape: Shape, sigma: Float[Array, "6"], plan: Float[Array, "T 6"], *, key: Key[Array, ""]
 ) -> Float[Array, "K T 6"]:
@@ -125,6 +127,7 @@ def authority(effect: Effect) -> Float[Array, ""]:
     return jnp.where(jnp.isfinite(able), able, jnp.inf)
 
 
+@own_promotion()
 def plan(
     model: WorldModel,
     shape: Shape,

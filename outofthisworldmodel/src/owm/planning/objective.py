@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_to_rotation_vector
 from owm.planning.config import Weights
 from owm_envs.field import GeodesicField, clearance, cost_to_go
+from owm_envs.flags import own_promotion
 
 
 def _safe_norm(vector: Float[Array, "3"]) -> Float[Array, ""]:
@@ -24,6 +25,7 @@ def _way(
     return _safe_norm(offset), offset
 
 
+@own_promotion()
 def step_cost(
     objective: str,
     weights: Weights,
@@ -75,6 +77,7 @@ def step_cost(
     return cost + shared, gap
 
 
+@own_promotion()
 def sequence_cost(
     objective: str,
     weights: Weights,
