@@ -8,7 +8,6 @@ import pytest
 STRICT = {
     "numpy_dtype_promotion": "strict",
     "numpy_rank_promotion": "raise",
-    "enable_checks": True,
     "legacy_prng_key": "error",
     "check_static_indices": True,
 }

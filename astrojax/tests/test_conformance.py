@@ -117,6 +117,13 @@ def _rk4_increment(state, dt, gm):
     return integrators.rk4_increment(f, 0.0, state, dt)
 
 
+def _rk4_increment_looped(state, dt, gm):
+    def f(t, y, gm):
+        return jnp.concatenate([y[3:], gravity.accel_two_body(y[:3], gm)])
+
+    return integrators.rk4_increment_looped(f, jnp.zeros_like(dt), state, dt, (gm,))
+
+
 def _compensated(y, lost, increment):
     """The sum alone: what it has lost is rounding, of no agreed value."""
     total, lost = integrators.compensated_add({"y": y}, {"y": lost}, {"y": increment})
@@ -223,6 +230,7 @@ CASES = [
     ),
     case("rk4_step", _rk4, (STATE, A(10.0), GM)),
     case("rk4_increment", _rk4_increment, (STATE, A(10.0), GM)),
+    case("rk4_increment_looped", _rk4_increment_looped, (STATE, A(10.0), GM)),
     case("compensated_add", _compensated, (ACCEL, A([1e-4, -2e-4, 3e-4]), 1e-3 * ACCEL)),
     case("stored", compilation.stored, (ACCEL,)),
     # relative motion

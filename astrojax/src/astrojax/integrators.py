@@ -1,12 +1,14 @@
 """Fixed-step integrators for any pytree."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from astrojax._types import Scalar
+from astrojax._types import FloatScalar, Scalar
 from astrojax.compilation import stored
 
 
@@ -36,8 +38,47 @@ def rk4_increment(f: Callable[..., PyTree], t: Scalar, y: PyTree, dt: Scalar, *a
     k2 = stored(f(t + half, ahead(k1, half), *args))
     k3 = stored(f(t + half, ahead(k2, half), *args))
     k4 = f(t + dt, ahead(k3, dt), *args)
+    return _weighted(dt, k1, k2, k3, k4)
+
+
+def _weighted(dt: Scalar, k1: PyTree, k2: PyTree, k3: PyTree, k4: PyTree) -> PyTree:
     sixth = dt / 6.0
     return jax.tree.map(lambda a, b, c, d: sixth * (a + 2.0 * (b + c) + d), k1, k2, k3, k4)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def rk4_increment_looped(f: Callable[..., PyTree], t: FloatScalar, y: PyTree, dt: FloatScalar, args: tuple) -> PyTree:
+    """`rk4_increment` whose derivative is a loop over the stages: a long `f` then compiles once, not four times.
+
+    The value is that of `rk4_increment`, to the bit.
+
+    Args:
+        f: as there; it closes over nothing that is traced.
+        args: floating-point arrays, or pytrees of them, handed to `f`.
+    """
+    return rk4_increment(f, t, y, dt, *args)
+
+
+@rk4_increment_looped.defjvp
+def _rk4_increment_looped_jvp(f, primals, tangents):
+    t, y, dt, args = primals
+    *tangents, turned = tangents
+
+    def stage(carry, part):
+        k, pushed = carry
+
+        def at(t, y, dt, k, args):
+            h = part * dt
+            return f(t + h, jax.tree.map(lambda a, b: a + h * b, y, k), *args)
+
+        carry = jax.jvp(at, (t, y, dt, k, args), (*tangents, pushed, turned))
+        return carry, carry
+
+    none = jax.tree.map(jnp.zeros_like, y)
+    _, (ks, pushed) = jax.lax.scan(stage, (none, none), jnp.asarray([0.0, 0.5, 0.5, 1.0], dt.dtype))
+    stages, pushes = ([jax.tree.map(lambda x, i=i: x[i], tree) for i in range(4)] for tree in (ks, pushed))
+    _, increment = jax.jvp(_weighted, (dt, *stages), (tangents[2], *pushes))
+    return rk4_increment(f, t, y, dt, *args), increment
 
 
 def compensated_add(y: PyTree, lost: PyTree, increment: PyTree) -> tuple[PyTree, PyTree]:

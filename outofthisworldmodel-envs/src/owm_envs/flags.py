@@ -7,6 +7,13 @@ import jax
 
 
 @contextmanager
+def own_promotion() -> Iterator[None]:
+    """Run a block, or as `@own_promotion()` a function, under JAX's usual promotion rules whatever the caller's are."""
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        yield
+
+
+@contextmanager
 def own_flags(x64: bool = True) -> Iterator[None]:
     """Run a block, in this thread, in 64-bit mode or not, under the promotion rules that our programs are written for.
 
@@ -14,8 +21,7 @@ def own_flags(x64: bool = True) -> Iterator[None]:
     """
     with (
         jax.enable_x64(x64),
-        jax.numpy_dtype_promotion("standard"),
-        jax.numpy_rank_promotion("allow"),
+        own_promotion(),
         jax.transfer_guard("allow"),
         jax.debug_nans(False),
     ):

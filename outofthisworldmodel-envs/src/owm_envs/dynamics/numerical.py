@@ -34,7 +34,7 @@ from astrojax.dynamics import (
 )
 from astrojax.elements import keplerian_to_cartesian, propagate_keplerian
 from astrojax.gravity import accel_zonal
-from astrojax.integrators import compensated_add, rk4_increment
+from astrojax.integrators import compensated_add, rk4_increment_looped
 from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
 from owm_envs.config.params import Params
@@ -98,38 +98,39 @@ class NumericalOrbits:
         self, params: Params, state: PhysicalState, wrench: Float[Array, "6"], dt: Float[Array, ""]
     ) -> PhysicalState:
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""
-        forces = ForceModel(zonal_degree=self.zonal_degree, sun=self.sun, moon=self.moon, drag=self.drag)
         day, seconds = normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed)
         bodies = celestial_bodies(day.astype(jnp.float32), seconds.astype(jnp.float32))
         bodies = stored(jax.tree.map(lambda position: position.astype(dt.dtype), bodies))
         vehicle = params.chaser
         station = Ballistics(params.chief.mass, params.chief.drag_area, params.chief.drag_coefficient)
         own = Ballistics(vehicle.mass, vehicle.drag_area, vehicle.drag_coefficient)
-
-        def derivative(_, motion):
-            _, chief, chaser = motion
-            thrust = quat_rotate(chaser.attitude, wrench[:3]) / vehicle.mass
-            from_earth = quat_rotate(quat_conjugate(chaser.attitude), chief[:3] + chaser.orbit[:3])
-            torque = wrench[3:] + torque_gravity_gradient(from_earth, vehicle.inertia, GM_EARTH)
-            apart = accel_relative(bodies, chief, chaser.orbit, station, own, forces)
-            return (
-                jnp.ones((), dt.dtype),
-                jnp.concatenate([chief[3:], accel_gravity_and_perturbations(bodies, chief, *station, forces)]),
-                VehicleState(
-                    jnp.concatenate([chaser.orbit[3:], apart + thrust]),
-                    quat_derivative(chaser.attitude, chaser.rate),
-                    accel_euler(chaser.rate, vehicle.inertia, torque),
-                ),
-            )
-
+        given = (bodies, station, own, vehicle.inertia, wrench)
         motion = (state.elapsed, state.chief, state.chaser)
-        increment = _unit_attitude(motion, rk4_increment(derivative, state.elapsed, motion, dt))
+        increment = rk4_increment_looped(self._derivative, state.elapsed, motion, dt, given)
+        increment = _unit_attitude(motion, increment)
         if state.lost is None:
             motion, lost = jax.tree.map(lambda a, b: a + b, motion, increment), None
         else:
             motion, lost = compensated_add(motion, state.lost, increment)
         elapsed, chief, chaser = motion
         return stored(PhysicalState(state.epoch, elapsed, chief, chaser, lost))
+
+    def _derivative(self, _, motion, bodies, station, own, inertia, wrench):
+        forces = ForceModel(zonal_degree=self.zonal_degree, sun=self.sun, moon=self.moon, drag=self.drag)
+        elapsed, chief, chaser = motion
+        thrust = quat_rotate(chaser.attitude, wrench[:3]) / own.mass
+        from_earth = quat_rotate(quat_conjugate(chaser.attitude), chief[:3] + chaser.orbit[:3])
+        torque = wrench[3:] + torque_gravity_gradient(from_earth, inertia, GM_EARTH)
+        apart = accel_relative(bodies, chief, chaser.orbit, station, own, forces)
+        return (
+            jnp.ones_like(elapsed),
+            jnp.concatenate([chief[3:], accel_gravity_and_perturbations(bodies, chief, *station, forces)]),
+            VehicleState(
+                jnp.concatenate([chaser.orbit[3:], apart + thrust]),
+                quat_derivative(chaser.attitude, chaser.rate),
+                accel_euler(chaser.rate, inertia, torque),
+            ),
+        )
 
     def relative_state(self, params: Params, state: PhysicalState) -> Float[Array, "13"]:
         """The 13-number relative view of a state."""

@@ -33,6 +33,7 @@ from owm_envs.field.eikonal import (
     solve_fine,
 )
 from owm_envs.files import write_atomically
+from owm_envs.flags import own_promotion
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
 
 __all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "field_rows", "load_field", "solve_field"]
@@ -69,6 +70,7 @@ class GeodesicField(NamedTuple):
         part = values[..., :split] if grid == 0 else values[..., split:]
         return part.reshape(*values.shape[:-1], *shape)
 
+    @own_promotion()
     def _phi(self, grid: int) -> Array:
         axes = [self.origins[grid, i] + self.spacings[grid] * jnp.arange(n, dtype=self.origins.dtype)
                 for i, n in enumerate(self.shapes[grid].tolist())]  # fmt: skip
@@ -228,6 +230,7 @@ def _checked(boxes, goals, normals, sphere_radius: float) -> tuple[np.ndarray, n
     return boxes, goals, normals
 
 
+@own_promotion()
 def solve_field(
     boxes: Float[np.ndarray, "N 2 3"],
     goals: Float[np.ndarray, "P 3"],
@@ -291,6 +294,7 @@ def _write(path: Path, fine: np.ndarray, coarse: np.ndarray) -> None:
         warnings.warn(f"the geodesic field could not be kept in {path.parent}: {error}", stacklevel=3)
 
 
+@own_promotion()
 def load_field(
     ports: Sequence[str] = PORT_NAMES,
     boxes: Float[np.ndarray, "N 2 3"] | None = None,

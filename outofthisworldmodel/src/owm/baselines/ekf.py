@@ -132,7 +132,7 @@ class ErrorStateEKF:
         gain = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(covariance), True), belief.covariance).T
         keep = jnp.eye(12, dtype=gain.dtype) - gain
         noise = self._measured(params, belief.view)
-        after = keep @ belief.covariance @ keep.T + (gain * noise**2) @ gain.T
+        after = keep @ belief.covariance @ keep.T + (gain * noise[None] ** 2) @ gain.T
         return Belief(displaced(belief.view, gain @ error), _symmetric(after))
 
     def encode(self, params: FilterParams, history: History) -> Belief:

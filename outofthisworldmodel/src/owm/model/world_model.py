@@ -16,6 +16,7 @@ from owm.model.config import ModelConfig
 from owm.model.flow import FlowHead
 from owm.model.streams import STREAMS, Stream
 from owm.model.transformer import MLP
+from owm_envs.flags import own_promotion
 from owm_envs.task.sensors import STATE
 
 RENAMED = {"skip": "base_dynamics", "rise": "up", "fall": "down", "kind": "token_type"}
@@ -111,11 +112,13 @@ class LearnedWorldModel:
         weights = {".".join(RENAMED.get(k, k) for k in path.split(".")): v for path, v in contents.weights.items()}
         return cls(config, Params(fill(skeleton, weights), statistics), contents.name)
 
+    @own_promotion()
     def encode(self, params: Params, history: History) -> ModelState:
         """Turn a history into the state from which `step` predicts; computed in the dtype of the weights."""
         history = _cast(params, history)
         return self.encode_sequence(params, history)[0]
 
+    @own_promotion()
     def encode_sequence(self, params: Params, history: History) -> tuple[ModelState, Any, Float[Array, "H-1 n d"]]:
         """Encode, and also return the carries of all measurements and the backbone's output at all but the last."""
         network, statistics = params
@@ -126,12 +129,14 @@ class LearnedWorldModel:
         last = jax.tree.map(lambda x: x[-1], carries)
         return ModelState(last, cache), carries, outputs[:, : network.stream.token_count]
 
+    @own_promotion()
     def attend(self, params: Params, action: Float[Array, "6"], state: ModelState) -> tuple[Array, PyTree]:
         """Run the backbone on the current step under an action; return its output for the stream's tokens."""
         network, statistics = params
         output, cache = network.backbone.step(network.tokens(statistics, state.carry, action), state.cache)
         return output[: network.stream.token_count], cache
 
+    @own_promotion()
     def step(
         self, params: Params, key: Key[Array, ""] | None, action: Float[Array, "6"], state: ModelState
     ) -> ModelState:
@@ -144,6 +149,7 @@ class LearnedWorldModel:
         carry = network.stream.advance(statistics, state.carry, residual, action, self.dt, sampled=sampled)
         return ModelState(carry, cache)
 
+    @own_promotion()
     def observe(
         self, params: Params, state: ModelState, action: Float[Array, "6"], observation: dict[str, Array]
     ) -> ModelState:
@@ -153,6 +159,7 @@ class LearnedWorldModel:
         _, cache = self.attend(params, action, state)
         return ModelState(network.stream.observe(statistics, state.carry, action, view, self.dt), cache)
 
+    @own_promotion()
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""
         return params.network.stream.decode(params.statistics, state.carry)

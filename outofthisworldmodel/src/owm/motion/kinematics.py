@@ -29,12 +29,12 @@ _ROTATION = np.einsum("iam,akj,lm->ijkl", _PRODUCT, _PRODUCT, _CONJUGATE)[1:, 1:
 
 def multiply(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
     """Return the Hamilton product `p q`."""
-    return jnp.sum(jnp.asarray(_PRODUCT, p.dtype) * (p[:, None] * q[None, :]), axis=(1, 2))
+    return jnp.sum(jnp.asarray(_PRODUCT, p.dtype) * (p[:, None] * q[None, :])[None], axis=(1, 2))
 
 
 def rotation(q: Float[Array, "4"]) -> Float[Array, "3 3"]:
     """Return the rotation matrix of a unit quaternion, the same for `q` and `-q`."""
-    return jnp.sum(jnp.asarray(_ROTATION, q.dtype) * (q[:, None] * q[None, :]), axis=(2, 3))
+    return jnp.sum(jnp.asarray(_ROTATION, q.dtype) * (q[:, None] * q[None, :])[None, None], axis=(2, 3))
 
 
 def quaternion(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:

@@ -60,7 +60,7 @@ def rate_products(rate: Float[Array, "3"], turn: Float[Array, "3 3"]) -> Float[A
         turn: rotation from body to station frame, whose first row is that axis.
     """
     mixed = jnp.roll(rate, -1) * jnp.roll(rate, -2)
-    return jnp.concatenate([rate * rate, mixed, (rate[:, None] * turn[0]).reshape(9)])
+    return jnp.concatenate([rate * rate, mixed, (rate[:, None] * turn[:1]).reshape(9)])
 
 
 def linear_increment(

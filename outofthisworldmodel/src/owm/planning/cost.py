@@ -15,6 +15,7 @@ from astrojax.attitude import quat_conjugate, quat_multiply, quat_to_rotation_ve
 from astrojax.compilation import summed
 from owm.planning.config import Weights
 from owm_envs.field import GeodesicField, clearance, cost_to_go
+from owm_envs.flags import own_promotion
 from owm_envs.task.events import safe_root
 
 
@@ -176,6 +177,7 @@ def step_cost(
     return summed([summed(group) for group in groups]), step.clearance
 
 
+@own_promotion()
 def sequence_cost(
     objective: str,
     weights: Weights,

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.linalg import expm
 
+from owm_envs.flags import own_promotion
+
 
 class Corridor(NamedTuple):
     """The cone before a port: apex radius m, tangent of the half-angle, and where it is."""
@@ -100,6 +102,7 @@ def tracking(
     return Tracking(*(x.astype(dtype) for x in arrays), position, velocity, effort, outside, curvature)
 
 
+@own_promotion()
 def beyond(corridor: Corridor, positions: Float[Array, "N 3"]) -> tuple[Float[Array, ""], Float[Array, "N 3"]]:
     """Half the squared distances by which positions lie outside the four planes about the cone, and the gradient."""
     along, *across = jnp.asarray(corridor.axes) @ (positions - corridor.goal).T
@@ -110,6 +113,7 @@ def beyond(corridor: Corridor, positions: Float[Array, "N 3"]) -> tuple[Float[Ar
     return 0.5 * jnp.sum(excess**2), sideways + forward
 
 
+@own_promotion()
 def solve(
     problem: Tracking,
     start: Float[Array, "6"],

@@ -22,6 +22,7 @@ from owm.planning.effect import authority, coasting_wrench, effect_of
 from owm.planning.sampler import sample_candidates
 from owm.planning.update import average, candidate_weights, shifted
 from owm_envs.field import clearance
+from owm_envs.flags import own_promotion
 from owm_envs.task.sensors import STATE
 
 
@@ -61,6 +62,7 @@ def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
     )
 
 
+@own_promotion()
 def plan(
     model: WorldModel,
     shape: Shape,

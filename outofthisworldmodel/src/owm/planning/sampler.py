@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from owm.planning.config import Shape
+from owm_envs.flags import own_promotion
 
 
 def interpolation(horizon: int, knots: int) -> Float[np.ndarray, "T N"]:
@@ -15,6 +16,7 @@ def interpolation(horizon: int, knots: int) -> Float[np.ndarray, "T N"]:
     return hat / np.linalg.norm(hat, axis=1, keepdims=True)
 
 
+@own_promotion()
 def sample_candidates(
     shape: Shape, sigma: Float[Array, "6"], plan: Float[Array, "T 6"], *, key: Key[Array, ""]
 ) -> Float[Array, "K T 6"]:

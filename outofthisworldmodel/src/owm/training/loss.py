@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int, Key, Shaped
 from owm.data.windows import history_of
 from owm.model.streams import Stream
 from owm.model.world_model import LearnedWorldModel, ModelState, Params
+from owm_envs.flags import own_promotion
 from owm_envs.task.sensors import STATE
 
 
@@ -60,6 +61,7 @@ def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
     return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
+@own_promotion()
 def window_losses(
     model: LearnedWorldModel,
     params: Params,
