@@ -47,7 +47,7 @@ def test_every_function_of_an_environment_traces(fidelity, precision, jax_flags)
         start = jax.eval_shape(begin, params, key)
         out = jax.eval_shape(onward, params, key, action, jax.ShapeDtypeStruct((BATCH,), bool), batched(start))
     info, observation, *_ = out
-    assert observation.dtype == jnp.float32
+    assert observation["state"].dtype == jnp.float32
     assert info["true_state"].dtype == precision
 
 
@@ -62,7 +62,7 @@ def test_every_function_of_a_fleet_traces(jax_flags):
     with jax.enable_x64(True), jax_flags(strict=True):
         actions = jax.ShapeDtypeStruct((2, 6), jnp.float32)
         first, *_ = jax.eval_shape(fly, fleet.default_params(), jax.random.key(0), actions)
-    assert first.shape == (2, fleet.layout.size)
+    assert first["state"].shape == (2, fleet.layout.size)
 
 
 def test_nothing_is_leaked_or_moved_and_every_number_is_finite(jax_flags, quick):

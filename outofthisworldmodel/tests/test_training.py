@@ -257,7 +257,8 @@ def test_bfloat16_is_the_network_s_alone():
     state = jax.eval_shape(lambda: initial_state(config))
     statistics = STREAMS["kinematic"].skeleton(jnp.float32)
     model = LearnedWorldModel(config.model, Params(state.network, statistics))
-    rows = tuple(jax.ShapeDtypeStruct((1000, size), jnp.float32) for size in (13, 6))
+    views, actions = (jax.ShapeDtypeStruct((1000, size), jnp.float32) for size in (13, 6))
+    rows = {"state": views}, actions
     starts = jax.ShapeDtypeStruct((900,), jnp.int32)
     traced = train_chunk.trace(
         config, model, state.network, state.optimizer, statistics, rows, starts, state.step, depth=6, count=25

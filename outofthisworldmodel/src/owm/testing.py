@@ -9,6 +9,7 @@ import numpy as np
 
 from owm.interface import History, WorldModel, check_complete
 from owm.motion.kinematics import advance, to_motion, to_view, view_error
+from owm_envs.task.sensors import STATE
 
 _START = (60.0, -40.0, 30.0, -0.2, 0.1, -0.1, 0.5, 0.5, -0.5, 0.5, 2e-3, -1e-3, 1e-3)
 _ACTION = (200.0, -150.0, 100.0, 40.0, -30.0, 20.0)
@@ -17,12 +18,15 @@ _FAR = (5.0, 1.0, 0.2, 0.05)
 _ROUNDING = 1e-3
 
 
-def check_world_model(model: WorldModel) -> None:
+def check_world_model(model: WorldModel, history: History | None = None) -> None:
     """Check that a world model can be planned with and scored, at the precision that it computes in.
 
     In this order: its parts; that it can be a static argument; that its functions can be traced and keep types and
     shapes of the state (`lax.scan` carries it); the view that `decode` reads out; finite numbers, from a history of a
     single measurement too; the same step twice; vmap equals a loop; samples that follow their key.
+
+    Args:
+        history: whole and valid, for a model that looks at more than the state part; a made-up one of that when None.
 
     Raises:
         AssertionError: naming the check that failed, what was expected and what came, on one line.
@@ -42,7 +46,7 @@ def check_world_model(model: WorldModel) -> None:
     except TypeError as error:
         raise AssertionError(f"static: expected a model that can be hashed (a frozen dataclass), got {error}") from None
     with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
-        _check_functions(model, _history(int(length), float(dt)))
+        _check_functions(model, _history(int(length), float(dt)) if history is None else history)
 
 
 def _expect(passed: Any, check: str, expected: str, came: Any) -> None:
@@ -57,17 +61,19 @@ def _history(length: int, dt: float) -> History:
     for _ in range(length - 1):
         motion = advance(motion, jnp.zeros(6, jnp.float32), dt)
         views.append(to_view(motion))
-    return History(jnp.stack(views), jnp.zeros((length - 1, 6), jnp.float32), jnp.ones(length, bool))
+    return History({STATE: jnp.stack(views)}, jnp.zeros((length - 1, 6), jnp.float32), jnp.ones(length, bool))
 
 
 def _check_functions(model: WorldModel, history: History) -> None:
-    params, view, action = model.params, history.observation[-1], jnp.asarray(_ACTION, jnp.float32)
+    params, action = model.params, jnp.asarray(_ACTION, jnp.float32)
+    last = {name: values[-1] for name, values in history.observation.items()}
+    view = last[STATE]
     key = jax.random.key(0)
     functions = {
         "encode": lambda params, history: model.encode(params, history),
         "step": lambda params, state: model.step(params, None, action, state),
         "step with a key": lambda params, state: model.step(params, key, action, state),
-        "observe": lambda params, state: model.observe(params, state, action, view),
+        "observe": lambda params, state: model.observe(params, state, action, last),
         "decode": lambda params, state: model.decode(params, state),
     }
 
@@ -93,13 +99,13 @@ def _check_functions(model: WorldModel, history: History) -> None:
         """The view now, after a step, and after a measurement."""
         state = model.encode(params, history)
         stepped = model.step(params, key, action, state)
-        measured = model.observe(params, state, action, view)
+        measured = model.observe(params, state, action, last)
         return [model.decode(params, each)["state"] for each in (state, stepped, measured)]
 
     compiled = jax.jit(flight)
     views = np.asarray(compiled(params, history, None))
     single = history._replace(
-        observation=jnp.broadcast_to(view, history.observation.shape),
+        observation={name: jnp.broadcast_to(last[name], values.shape) for name, values in history.observation.items()},
         valid=jnp.arange(len(history.valid)) == len(history.valid) - 1,
     )
     for given, of in ((history, "a whole history"), (single, "a history of a single measurement")):

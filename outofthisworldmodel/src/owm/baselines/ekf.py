@@ -140,9 +140,8 @@ class ErrorStateEKF:
 
         def advance(belief: Belief, measured: tuple) -> tuple[Belief, None]:
             action, view, valid = measured
-            return jax.tree.map(
-                lambda a, b: jnp.where(valid, a, b), self.observe(params, belief, action, view), belief
-            ), None
+            observed = self.observe(params, belief, action, {STATE: view})
+            return jax.tree.map(lambda a, b: jnp.where(valid, a, b), observed, belief), None
 
         # Measurements before the first valid one are copies of it, so steps count from there.
         views = history.observation[STATE]

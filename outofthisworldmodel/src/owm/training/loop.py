@@ -26,6 +26,7 @@ from owm.training.metrics import Metrics, View
 from owm.training.step import TrainState, batch_mesh, initial_state, put, train_chunk
 from owm.training.validation import coasting_score, validate, validation_sets
 from owm_envs.claims import Claim
+from owm_envs.view import View as RelativeView
 
 
 @dataclass(frozen=True)
@@ -256,8 +257,6 @@ def _devices(wanted: int | None) -> int:
 
 _MORE = "record more flights, of different policies (owm-envs generate --transitions 20000 or more)"
 """What to do about data that teach nothing."""
-_PARTS = {"position": slice(0, 3), "velocity": slice(3, 6), "body rate": slice(10, 13)}
-"""Of a view; attitude varies as the rate does."""
 
 
 def _check_data(config: TrainConfig, train: Episodes, val: Episodes) -> None:
@@ -275,7 +274,8 @@ def _check_data(config: TrainConfig, train: Episodes, val: Episodes) -> None:
         raise ValueError(f"the training episodes hold {windows} windows, fewer than batch={config.batch}; {_MORE}")
     rows = train.starts(2)  # of an episode's last row the action is padding
     columns = {"force": train.action[rows, :3], "torque": train.action[rows, 3:]}
-    columns |= {part: train.observation[rows, numbers] for part, numbers in _PARTS.items()}
+    view = RelativeView.of(train.view[rows])  # attitude varies as the rate does
+    columns |= {"position": view.position, "velocity": view.velocity, "body rate": view.rate}
     still = [
         f"{name} {axis}"
         for name, numbers in columns.items()

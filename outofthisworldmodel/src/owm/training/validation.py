@@ -53,8 +53,8 @@ def coasting_score(config: ModelConfig, sets: dict[str, Windows]) -> float:
 
     @jax.jit
     @jax.vmap
-    def errors(observation: Float[Array, "L 13"]) -> Float[Array, "F 4"]:
-        last, measured = observation[config.history_length - 1], observation[config.history_length :]
+    def errors(views: Float[Array, "L 13"]) -> Float[Array, "F 4"]:
+        last, measured = views[config.history_length - 1], views[config.history_length :]
 
         def coast(motion, _):
             motion = advance(motion, jnp.zeros_like(last[:6]), config.dt)
@@ -62,7 +62,7 @@ def coasting_score(config: ModelConfig, sets: dict[str, Windows]) -> float:
 
         return _norms(jax.lax.scan(coast, to_motion(last, last), length=len(measured))[1], measured)
 
-    return float(np.mean([_weighed(errors(windows.observation)) for windows in sets.values()]))
+    return float(np.mean([_weighed(errors(windows.observation[STATE])) for windows in sets.values()]))
 
 
 @partial(jax.jit, static_argnames=("model",))
