@@ -12,7 +12,14 @@ import pytest
 
 from owm_envs.station import PORTS, goal_poses, hull_boxes, port_index
 
-PAGE = Path(__file__).parents[1] / "docs" / "jax.md"
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "jax.md"
+PACKAGES = ("astrojax", "outofthisworldmodel-envs", "outofthisworldmodel")
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *(ROOT / package / "README.md" for package in PACKAGES)]
+)
+FILES = [path.as_posix() for package in PACKAGES for path in sorted((ROOT / package).rglob("*.*"))]
+SOURCES = "\n".join(Path(name).read_text(encoding="utf-8") for name in FILES if name.endswith(".py"))
 # Everything here runs once: programs that compile sooner are worth more than programs that run faster.
 QUICK = {**os.environ, "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"}
 
@@ -55,6 +62,27 @@ def test_two_processes_fly_one_set_of_slots(tmp_path):
     assert [process.returncode for process in processes] == [0, 0]
     means = {re.search(r"process (\d) of 2: mean start ([\d.]+) m", text).groups() for text in said}
     assert {process for process, _ in means} == {"0", "1"} and len({mean for _, mean in means}) == 1
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_to_files(page):
+    targets = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", page.read_text(encoding="utf-8"))
+    assert not [target for target in targets if not (page.parent / target).exists()]
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "decisions").glob("*.md")), ids=lambda path: path.stem)
+def test_a_decision_has_its_parts_and_names_what_exists(page):
+    text = page.read_text(encoding="utf-8")
+    if page.stem != "README":
+        assert re.findall(r"^## (\w+)$", text, re.MULTILINE) == ["Choice", "Measurement", "Where"]
+        date = re.search(r"^Date: (\d{4}-\d\d-\d\d)$", text, re.MULTILINE)[1]
+        assert f"| {date} | [{text.splitlines()[0][2:]}]({page.name}) |" in page.with_name("README.md").read_text(
+            "utf-8"
+        )
+    for name in re.findall(r"`([^`]+)`", re.sub(r"\[`.*?\)", "", text)):
+        file = any(path.endswith(f"/{name}") for path in FILES)
+        words = re.findall(r"[A-Za-z_]\w+", name)
+        assert file or all(re.search(rf"\b{word}\b", SOURCES) for word in words), f"nothing is called {name}"
 
 
 def test_the_front_page_is_short_and_its_code_runs_as_it_stands(tmp_path):
