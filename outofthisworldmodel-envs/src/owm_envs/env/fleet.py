@@ -114,6 +114,9 @@ class FleetEnv:
         self.layout = FleetLayout(self.docking.layout, (num_chasers - 1) * observe_others)
         self._axes = _chaser_axes(self.config)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.num_chasers}, {self.config.__repr_str__(', ')})"
+
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
         return self.docking.default_params()

@@ -30,6 +30,9 @@ class VectorPolicy:
         self._pending: np.ndarray | None = None
         self._state: Any = None
 
+    def __repr__(self) -> str:
+        return f"VectorPolicy({self.name!r}, seed={self._seed})"
+
     def reset(
         self, mask: Bool[np.ndarray, "B"] | None = None, ports: Sequence[str | int] | np.ndarray | None = None
     ) -> None:

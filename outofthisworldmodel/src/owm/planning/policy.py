@@ -119,6 +119,9 @@ class PlannerPolicy:
         self._fresh = self._initial()
         self._state = self._fresh
 
+    def __repr__(self) -> str:
+        return f"PlannerPolicy({self.name!r}, num_slots={self.num_slots}, {self.config!r})"
+
     def _initial(self) -> SlotStates:
         """Every slot before its first measurement; its chunk is used up."""
         slots, history, shape = self.num_slots, self.model.history_length, self.config.shape

@@ -2,15 +2,15 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+
+from owm_envs.config.parts import Frozen
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
-class PPOConfig(BaseModel):
+class PPOConfig(Frozen):
     """The paper's table of its PPO baseline; the task is the preset "rl" of `owm_envs`, its reward included."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     env: Literal["iss", "iss-hcw", "iss-numerical"] = "iss-numerical"
     """Fidelity of the simulation."""
