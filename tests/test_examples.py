@@ -1,4 +1,4 @@
-"""The JAX examples, in reduced form: they learn, their gradients are right, and what they save reads back."""
+"""The examples in reduced form: they learn, gradients are right, what they save reads back; the tutorial runs."""
 
 import importlib.util
 import os
@@ -10,8 +10,10 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import nbformat
 import numpy as np
 import pytest
+from nbclient import NotebookClient
 
 from owm_envs.env import DockingEnv
 
@@ -35,6 +37,17 @@ def run(name: str, *options: str) -> str:
         command, check=True, stdout=subprocess.PIPE, text=True, timeout=300, env={**os.environ, "XLA_FLAGS": flags}
     )
     return done.stdout
+
+
+def test_the_tutorial_runs_and_is_kept_without_outputs(tmp_path):
+    notebook = nbformat.read(EXAMPLES / "tutorial.ipynb", as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(not cell.outputs and cell.execution_count is None for cell in code)
+    here = {"metadata": {"path": str(tmp_path)}}
+    # What must hold is asserted in its cells: one that fails raises here.
+    NotebookClient(notebook, timeout=300, kernel_name="python3", resources=here).execute()
+    pictures = [output for cell in code for output in cell.outputs if "image/png" in output.get("data", {})]
+    assert len(pictures) == 2
 
 
 def test_shooting_docks_by_a_gradient_that_equals_finite_differences(tmp_path):

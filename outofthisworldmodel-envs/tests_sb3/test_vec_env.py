@@ -1,5 +1,6 @@
 """The adapter under the real Stable-Baselines3. Run by `nox -s sb3`, which brings it."""
 
+import re
 import subprocess
 import sys
 import warnings
@@ -295,3 +296,14 @@ def test_the_example_runs(tmp_path):
     assert "after" in done.stdout
     for name in ("policy.zip", "normalize.pkl", "learning_curve.png"):
         assert (tmp_path / name).stat().st_size > 0
+
+
+def test_the_block_of_the_readme_runs():
+    page = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    (block,) = (
+        b for b in re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL) if "stable_baselines3" in b
+    )
+    assert block.count("learn(1_000_000)") == 1
+    exec(
+        compile(block.replace("learn(1_000_000)", "learn(1)"), "README", "exec"), {}
+    )  # one update of 64 x 256 decisions

@@ -1,5 +1,10 @@
 """The Gymnasium ids, registered on `import owm_envs`; entry points are strings, so nothing heavy is imported."""
 
+import inspect
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, TypedDict, TypeVar, Unpack
+
 import gymnasium
 
 IDS = {
@@ -11,6 +16,88 @@ IDS = {
     "iss-numerical": "iss-numerical",
 }
 """Environment id to fidelity; the short names are aliases."""
+
+Id = Literal["ISS-v0", "ISSHCW-v0", "ISSNumerical-v0", "iss", "iss-hcw", "iss-numerical"]
+Boxes = Sequence[tuple[Sequence[float], Sequence[float]]]
+Part = Mapping[str, Any]
+"""Fields of a part of `DockingConfig`; the rest keep their values."""
+_Made = TypeVar("_Made", bound=Callable[..., Any])
+
+
+class DockingKeywords(TypedDict, total=False):
+    """Keywords of `make` and `make_vec`: the fields of `DockingConfig`, and what they are laid over.
+
+    `owm_envs.DockingConfig` documents each with its default; `owm-envs config show` prints units and bounds.
+    """
+
+    config: Any
+    """A `DockingConfig`, a mapping of its fields, or the path of a TOML file."""
+    preset: Literal["data", "rl"]
+    noise: Literal["none", "cooperative", "noncooperative"] | Part
+    reward: Literal["data", "rl"] | Part
+    ports: Sequence[str]
+    goal_error: bool
+    normalize: bool
+    precision: Literal["float32", "float64"]
+    dt: float
+    steps_per_action: int
+    horizon: float
+    escape_radius: float
+    collision_terminates: bool
+    hull: str | os.PathLike | Boxes
+    obstacles: Boxes
+    reset: Part
+    docking: Part
+    chief: Part
+    chaser: Part
+    forces: Part
+    randomization: Part
+    render_mode: Literal["rgb_array"] | None
+    dynamics: Any
+    """Equations of motion of your own, a `Dynamics`."""
+    max_episode_steps: int | None
+    disable_env_checker: bool | None
+
+
+def _with_keywords(function: _Made) -> _Made:
+    """Show the keywords one by one to whoever asks for the signature, as notebooks do."""
+    given = inspect.signature(function)
+    own = [p for p in given.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+    keywords = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=..., annotation=annotation)
+        for name, annotation in DockingKeywords.__annotations__.items()
+    ]
+    function.__signature__ = given.replace(parameters=[*own, *keywords])
+    return function
+
+
+@_with_keywords
+def make(id: Id = "ISSNumerical-v0", **keywords: Unpack[DockingKeywords]) -> gymnasium.Env:
+    """`gymnasium.make`, with the keywords of these environments for an editor to complete.
+
+    Args:
+        id: a key of `IDS`.
+        keywords: see `DockingKeywords`.
+    """
+    return gymnasium.make(id, **keywords)
+
+
+@_with_keywords
+def make_vec(
+    id: Id = "ISSNumerical-v0",
+    num_envs: int = 1,
+    autoreset_mode: Literal["next_step", "same_step", "disabled"] = "next_step",
+    **keywords: Unpack[DockingKeywords],
+) -> gymnasium.vector.VectorEnv:
+    """`gymnasium.make_vec`, with the keywords of these environments for an editor to complete.
+
+    Args:
+        id: a key of `IDS`.
+        num_envs: slots, advanced by one compiled program.
+        autoreset_mode: when a slot that has ended starts again.
+        keywords: see `DockingKeywords`.
+    """
+    return gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode=autoreset_mode, **keywords)
 
 
 def register_all() -> None:

@@ -168,6 +168,9 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         self.observation_space, self.action_space = spaces_
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.config.__repr_str__(', ')})"
+
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; without a seed it follows from the last one."""
         options = self._check_options(options, ("dock_port",))

@@ -134,6 +134,13 @@ class DockingConfig(Frozen):
             raise ValueError(f"chief.semi_major_axis with its range must stay above {EARTH_RADIUS} m, got {least}")
         return self
 
+    def __repr_args__(self) -> list[tuple[str | None, Any]]:
+        short = []
+        for name, value in super().__repr_args__():
+            many = name in ("hull", "obstacles") and len(value) > 3
+            short.append((name, f"{len(value)} boxes" if many else value))
+        return short
+
     @property
     def decision_dt(self) -> float:
         """Seconds from one action to the next."""

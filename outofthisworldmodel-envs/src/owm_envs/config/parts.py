@@ -30,9 +30,13 @@ DegreeRange = Annotated[Range, unit("deg")]
 
 
 class Frozen(BaseModel):
-    """Immutable, without unknown fields; the text under a field describes it."""
+    """Immutable, without unknown fields; the text under a field describes it, and `repr` tells what is not default."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    def __repr_args__(self) -> list[tuple[str | None, Any]]:
+        defaults = {name: field.get_default() for name, field in type(self).model_fields.items()}
+        return [(name, value) for name, value in super().__repr_args__() if value != defaults.get(name)]
 
 
 class BiasConfig(Frozen):

@@ -122,6 +122,9 @@ class DockingEnv:
             wrench_limit=(chaser.force_limit,) * 3 + (chaser.torque_limit,) * 3,
         )
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.config.__repr_str__(', ')})"
+
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and other._program_key == self._program_key
 

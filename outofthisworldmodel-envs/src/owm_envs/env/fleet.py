@@ -117,6 +117,9 @@ class FleetEnv:
         self.layout = FleetLayout(self.docking.layout, (num_chasers - 1) * observe_others)
         self._axes = _chaser_axes(self.config)
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.num_chasers}, {self.config.__repr_str__(', ')})"
+
     @property
     def observation_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
         """Shape and dtype of each part of one chaser's observation, by its name."""

@@ -64,6 +64,9 @@ class GeodesicField(NamedTuple):
     goals: Float[Array, "P 3"]
     """Goal positions [m], station frame."""
 
+    def __repr__(self) -> str:
+        return f"GeodesicField({self.goals.shape[0]} ports, {self.nodes.shape[1]} nodes)"
+
     def _grid(self, values: Array, grid: int) -> Array:
         shape = tuple(int(n) for n in self.shapes[grid])
         split = math.prod(int(n) for n in self.shapes[0])

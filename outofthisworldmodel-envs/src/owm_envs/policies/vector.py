@@ -24,6 +24,9 @@ class VectorPolicy(SlotPolicy):
         self.policy = policy
         self._seed = np.uint32(checked_seed(seed, bits=32))
 
+    def __repr__(self) -> str:
+        return f"VectorPolicy({self.name!r}, seed={self._seed})"
+
     def act(self, state: Any, observation: dict[str, np.ndarray], slots: Slots) -> tuple[Any, Any]:
         """Every slot's action and next state, in one compiled program."""
         episodes = slots.episode.astype(np.uint32)

@@ -192,10 +192,12 @@ def _training(results: Results, figures: Path) -> list[Block]:
             f"Model: {facts['parameters']:,} trained parameters ({model.blocks} block{'s' * (model.blocks > 1)} of "
             f"width {model.width}, history of {model.history_length} measurements) over the least-squares map, "
             f"{config.steps:,} optimisation steps of {config.batch} windows on {facts['steps']:,} steps of "
-            f"{model.dt} s. Least squares is fitted to the same {facts['episodes']} episodes, with no network; the "
-            "untrained model, at step 0, predicts as it does. Least squares here is linear in action, position and "
-            "velocity: it has no products of body rates, which a larger fit could have, so the network's margin in "
-            "attitude over it is no margin over the best linear regression."
+            f"{model.dt} s: the recording's {results.size.phases} offsets, which overlap, at about "
+            f"{facts['steps'] // results.size.phases:,} steps each. Least squares is fitted to the same "
+            f"{facts['episodes']} episodes, with no network; the untrained model, at step 0, predicts as it does. "
+            "Least squares here is linear in action, position and velocity: it has no products of body rates, which a "
+            "larger fit could have, so the network's margin in attitude over it is no margin over the best linear "
+            "regression."
         ),
         (
             f"The weights of step {facts['best_step']:,} scored best on the {facts['val_episodes']} validation "

@@ -49,7 +49,10 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | Non
     Claim(out, {"config": config.model_dump(mode="json")})  # refused now, not after the data have been read
     announce(f"reading {', '.join(str(path) for path in data)} ...")
     episodes, val = training_episodes(data)
-    announce(f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on")
+    announce(
+        f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on; "
+        "a 20 Hz recording counts once for each of its five offsets, which overlap"
+    )
     about = {"corpus": [corpus_facts(path) for path in data]}
     result = run(config, episodes, val, out, console=console, about=about, wandb=wandb)
     print(f"{result.model_dir}: validation score {result.score:.4f} at step {result.step}")

@@ -2,13 +2,13 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, PositiveFloat, PositiveInt, model_validator
+from pydantic import NonNegativeInt, PositiveFloat, PositiveInt, model_validator
+
+from owm_envs.config.parts import Frozen
 
 
-class ModelConfig(BaseModel):
+class ModelConfig(Frozen):
     """Static choices; everything that training finds lives in the parameters instead."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     stream: Literal["kinematic", "adaptive", "latent"] = "kinematic"
     """How observations become tokens and tokens become predictions: on rigid-body kinematics, on those of a

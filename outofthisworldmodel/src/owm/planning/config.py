@@ -5,8 +5,6 @@ from typing import Annotated, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Array, Float
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     PositiveFloat,
     PositiveInt,
@@ -14,6 +12,7 @@ from pydantic import (
     model_validator,
 )
 
+from owm_envs.config.parts import Frozen
 from owm_envs.words import unknown
 
 Objective = Literal["geodesic", "straight", "plain"]
@@ -70,7 +69,7 @@ class Shape(NamedTuple):
     objective: str
 
 
-class PlannerConfig(BaseModel):
+class PlannerConfig(Frozen):
     """Model predictive path integral control as this package flies it.
 
     Candidates, horizon, chunk and temperature are the paper's; the rest come from prototypes that flew all eight ports
@@ -82,8 +81,6 @@ class PlannerConfig(BaseModel):
     1.02 m, doubled 100 %, 103 s, 1.36 m; braking 0.05 m/s2 100 %, 101 s, 1.42 m, 0.11 m/s2 100 %, 93 s, 1.39 m. The
     defaults stay: only the last is faster, and it takes more of the thrust than an off-nominal chaser has to spare.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     candidates: PositiveInt = 128
     """K, action sequences a replan; the first is the warm start itself. Source: paper."""

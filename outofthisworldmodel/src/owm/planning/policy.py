@@ -119,6 +119,9 @@ class PlannerPolicy(SlotPolicy):
         self._parts = _model_parts(model, env)
         self._field = jax.device_put(field)
 
+    def __repr__(self) -> str:
+        return f"PlannerPolicy({self.name!r}, num_slots={self.num_slots}, {self.config!r})"
+
     def begin(self, count: int) -> SlotStates:
         """Every slot before its first measurement; its chunk is used up."""
         history, shape = self.model.history_length, self.config.shape

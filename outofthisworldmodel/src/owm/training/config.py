@@ -5,8 +5,6 @@ from functools import partial
 from typing import Annotated, Literal
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     NonNegativeInt,
@@ -18,15 +16,14 @@ from pydantic import (
 
 from owm.model.config import PRESETS as MODELS
 from owm.model.config import ModelConfig
+from owm_envs.config.parts import Frozen
 from owm_envs.words import checked_seed
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
-class TrainConfig(BaseModel):
+class TrainConfig(Frozen):
     """Everything a run depends on beside its data; equal configuration and data give equal weights on one machine."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     model: ModelConfig = ModelConfig()
     """The network to train."""

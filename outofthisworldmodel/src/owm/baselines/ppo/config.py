@@ -3,26 +3,16 @@
 from functools import partial
 from typing import Annotated, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeFloat,
-    PositiveFloat,
-    PositiveInt,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
 
+from owm_envs.config.parts import Frozen
 from owm_envs.words import checked_seed
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
-class PPOConfig(BaseModel):
+class PPOConfig(Frozen):
     """The paper's table of its PPO baseline; the task is the preset "rl" of `owm_envs`, its reward included."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     env: Literal["iss", "iss-hcw", "iss-numerical"] = "iss-numerical"
     """Fidelity of the simulation."""
