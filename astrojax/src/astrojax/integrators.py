@@ -50,7 +50,7 @@ def _weighted(dt: Scalar, k1: PyTree, k2: PyTree, k3: PyTree, k4: PyTree) -> PyT
 def rk4_increment_looped(f: Callable[..., PyTree], t: FloatScalar, y: PyTree, dt: FloatScalar, args: tuple) -> PyTree:
     """`rk4_increment` whose derivative is a loop over the stages: a long `f` then compiles once, not four times.
 
-    The value is that of `rk4_increment`, to the bit.
+    Undifferentiated it is `rk4_increment` itself; differentiated, its value is that of the same sums in the loop.
 
     Args:
         f: as there; it closes over nothing that is traced.
@@ -77,8 +77,7 @@ def _rk4_increment_looped_jvp(f, primals, tangents):
     none = jax.tree.map(jnp.zeros_like, y)
     _, (ks, pushed) = jax.lax.scan(stage, (none, none), jnp.asarray([0.0, 0.5, 0.5, 1.0], dt.dtype))
     stages, pushes = ([jax.tree.map(lambda x, i=i: x[i], tree) for i in range(4)] for tree in (ks, pushed))
-    _, increment = jax.jvp(_weighted, (dt, *stages), (tangents[2], *pushes))
-    return rk4_increment(f, t, y, dt, *args), increment
+    return jax.jvp(_weighted, (dt, *stages), (tangents[2], *pushes))
 
 
 def compensated_add(y: PyTree, lost: PyTree, increment: PyTree) -> tuple[PyTree, PyTree]:
