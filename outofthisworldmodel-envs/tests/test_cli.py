@@ -23,7 +23,7 @@ def test_help_is_answered_without_loading_jax():
         "from owm_envs import cli\n"
         "try: cli.main(['--help'])\n"
         "except SystemExit as ended: assert not ended.code\n"
-        "print('loaded', {'jax', 'torch', 'pyarrow', 'cv2'} & set(sys.modules))"
+        "print('loaded', {'jax', 'gymnasium', 'torch', 'pyarrow', 'cv2'} & set(sys.modules))"
     )
     answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert "generate" in answer.stdout and "loaded set()" in answer.stdout, answer.stdout
