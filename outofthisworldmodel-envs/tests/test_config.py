@@ -227,7 +227,7 @@ def test_float64_outside_64_bit_mode_is_refused():
 
 
 def test_import_stays_light():
-    code = "import owm_envs, sys; assert not {'jax', 'torch', 'cv2', 'pyarrow'} & set(sys.modules), sys.modules.keys()"
+    code = "import owm_envs, sys; assert not {'jax', 'gymnasium', 'torch', 'cv2', 'pyarrow'} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
@@ -242,6 +242,22 @@ def test_a_file_of_another_encoding_is_refused_with_what_to_do(tmp_path):
     file = tmp_path / "config.toml"
     file.write_bytes('ports = ["Hafen ä"]'.encode("latin-1"))
     with pytest.raises(ValueError, match="save it as UTF-8"):
+        load_config(str(file))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "said"),
+    [
+        ("utf-16-le", r"UTF-16 \(little-endian\) without"),
+        ("utf-16-be", r"UTF-16 \(big-endian\) without"),
+        ("utf-32-le", r"UTF-32 \(little-endian\) without"),
+        ("utf-32-be", r"UTF-32 \(big-endian\) without"),
+    ],
+)
+def test_an_encoding_without_its_mark_is_named(tmp_path, encoding, said):
+    file = tmp_path / "config.toml"
+    file.write_bytes('fidelity = "iss"\n'.encode(encoding))
+    with pytest.raises(ValueError, match=f"config.toml is not UTF-8 text but looks like {said} .*: save it as UTF-8"):
         load_config(str(file))
 
 
