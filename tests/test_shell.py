@@ -8,6 +8,8 @@ import time
 
 import pytest
 
+from owm_envs.registration import IDS
+
 COMMANDS = ("owm", "owm_envs")
 COMPILING = (
     "import jax, sys\n"
@@ -64,4 +66,88 @@ def test_an_interruption_while_xla_compiles_ends_in_one_line(delay):
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert complaint.split("\n") == ["", "interrupted: the same command goes on where it was", ""]
+    assert complaint == "interrupted\n"
+
+
+STRUCK = """
+import os, runpy, signal, sys
+package, module, *sys.argv[1:] = sys.argv[1:]
+class Strike:
+    def find_spec(self, name, path=None, target=None):
+        if name == module:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Strike())
+runpy.run_module(package, run_name="__main__", alter_sys=True)
+"""
+GENERATE = ["generate", "--out", "never"]
+FLY = ["fly", "--policy", "dock", "--out", "never"]
+MATRIX = ["evaluate", "docking", "dock", "--out", "never"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of a terminal are POSIX's")
+@pytest.mark.parametrize(
+    ("package", "module", "words"),
+    [
+        ("owm_envs", "owm_envs.cli", ["ports"]),
+        ("owm_envs", "tyro", ["--help"]),
+        ("owm_envs", "rich.table", ["ports"]),
+        ("owm_envs", "pydantic", GENERATE),
+        ("owm", "owm.cli", ["--help"]),
+        ("owm", "tyro", ["presets"]),
+        ("owm", "gymnasium", FLY),
+        ("owm", "jax", FLY),
+        ("owm", "owm.commands.run", FLY),
+        ("owm", "owm.study.run", MATRIX),
+    ],
+)
+def test_an_interruption_of_any_import_ends_in_one_line(package, module, words, tmp_path):
+    process = subprocess.run(
+        [sys.executable, "-c", STRUCK, package, module, *words],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        timeout=60,
+    )
+    assert (process.returncode, process.stderr) == (130, "interrupted\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of a terminal are POSIX's")
+def test_work_that_can_be_resumed_says_so(tmp_path):
+    process = start("-m", "owm_envs", "generate", "--env", "iss", "--out", str(tmp_path / "set"))
+    process.stderr.readline()  # it has begun
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert complaint.splitlines()[-1] == "interrupted: the same command goes on where it was"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of a terminal are POSIX's")
+def test_an_interruption_of_several_processes_leaves_no_warning(tmp_path):
+    flights = ["--flights", "1", "--ports", "zvezda_aft", "unity_nadir", "--out", str(tmp_path / "report")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "owm", "evaluate", "docking", "dock", "random", *flights, "--processes", "2"],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    for line in process.stderr:
+        if "0/2 rows" in line or "flights;" in line:
+            break
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: all of them
+    _, complaint = process.communicate(timeout=60)
+    assert process.returncode == 130, complaint
+    assert "Traceback" not in complaint and "resource_tracker" not in complaint
+    assert complaint.splitlines()[-1] == "interrupted: the same command goes on where it was"
+
+
+@pytest.mark.parametrize("first", ["import gymnasium, owm_envs", "import owm_envs, gymnasium"])
+def test_environments_are_registered_in_either_order(first):
+    script = (
+        f"import sys\nsys.path[:0] = {sys.path!r}\n{first}\n"
+        "assert 'jax' not in sys.modules\n"
+        "print(sorted(name for name in gymnasium.registry if 'iss' in name.lower()))"
+    )
+    done = subprocess.run([sys.executable, "-I", "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(sorted(IDS))

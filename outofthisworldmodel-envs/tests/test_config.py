@@ -246,6 +246,22 @@ def test_a_file_of_another_encoding_is_refused_with_what_to_do(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("encoding", "said"),
+    [
+        ("utf-16-le", r"UTF-16 \(little-endian\) without"),
+        ("utf-16-be", r"UTF-16 \(big-endian\) without"),
+        ("utf-32-le", r"UTF-32 \(little-endian\) without"),
+        ("utf-32-be", r"UTF-32 \(big-endian\) without"),
+    ],
+)
+def test_an_encoding_without_its_mark_is_named(tmp_path, encoding, said):
+    file = tmp_path / "config.toml"
+    file.write_bytes('fidelity = "iss"\n'.encode(encoding))
+    with pytest.raises(ValueError, match=f"config.toml is not UTF-8 text but looks like {said} .*: save it as UTF-8"):
+        load_config(str(file))
+
+
+@pytest.mark.parametrize(
     "epoch",
     [
         "2026-08-01T00:00:00Z",

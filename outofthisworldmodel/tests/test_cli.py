@@ -28,7 +28,8 @@ def test_help_imports_nothing_heavy():
     done = python(
         "import sys\nfrom owm.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit as stop:\n"
         "    assert stop.code in (0, None)\n"
-        "print([m for m in ('jax', 'matplotlib', 'scipy', 'equinox', 'pyarrow', 'cv2') if m in sys.modules])"
+        "heavy = ('jax', 'matplotlib', 'scipy', 'equinox', 'pyarrow', 'cv2')\n"
+        "print([m for m in heavy if m in sys.modules])"
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"

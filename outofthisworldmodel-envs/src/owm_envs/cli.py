@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from owm_envs import __version__
-from owm_envs.shell import run
+from owm_envs.shell import resumable, run
 
 
 def generate(
@@ -53,6 +53,7 @@ def generate(
     settings = load_config(config, **{name: value for name, value in given.items() if value is not None})
     val_transitions = max(1, transitions // 10) if val_transitions is None else val_transitions
     request = Request(transitions, val_transitions, seed, planner_style, episodes_per_batch)
+    resumable()
     console = Console(stderr=True)
     bars: dict[str, int] = {}
     columns = [

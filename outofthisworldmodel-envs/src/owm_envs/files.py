@@ -56,6 +56,12 @@ def read_text(path: str | os.PathLike) -> str:
     """
     data = Path(path).read_bytes()
     encoding = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), "utf-8")
+    if encoding.startswith("utf-8") and b"\0" in data:
+        # Of letters in UTF-16 every second byte is zero, in UTF-32 three of four.
+        width = 32 if 2 * data.count(b"\0") > len(data) else 16
+        order = "big" if data.startswith(b"\0") else "little"
+        looks = f"UTF-{width} ({order}-endian) without a byte-order mark"
+        raise ValueError(f"{os.fspath(path)} is not UTF-8 text but looks like {looks}: save it as UTF-8")
     try:
         return data.decode(encoding).replace("\r\n", "\n")
     except UnicodeDecodeError as error:

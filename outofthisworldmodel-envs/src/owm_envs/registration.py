@@ -1,4 +1,4 @@
-"""The Gymnasium ids, registered on `import owm_envs`; entry points are strings, so nothing heavy is imported."""
+"""The Gymnasium ids; entry points are strings, so nothing heavy is imported."""
 
 import inspect
 import os
@@ -55,6 +55,8 @@ class DockingKeywords(TypedDict, total=False):
     render_mode: Literal["rgb_array"] | None
     dynamics: Any
     """Equations of motion of your own, a `Dynamics`."""
+    sensors: Sequence[Any]
+    """What the chaser carries beside relative navigation: each is a `Sensor`."""
     max_episode_steps: int | None
     disable_env_checker: bool | None
 

@@ -1,5 +1,6 @@
 """What the commands `owm` and `owm-envs` share: a mistake, an interruption or a closed pipe ends in one line."""
 
+import contextlib
 import os
 import signal
 import sys
@@ -32,9 +33,9 @@ def run(
     if arguments[:1] == ["--version"]:
         print(f"{prog} {version}")
         return
-    if alone:
-        _watch_interrupts()
     try:
+        if alone:
+            _watch_interrupts()
         build(arguments).cli(prog=prog, description=description, args=arguments)
     except BrokenPipeError:
         # Whoever read the output has gone, as `head` does; nothing more to say, at exit either.
@@ -43,13 +44,34 @@ def run(
     except KeyboardInterrupt:
         if alone:
             _end_interrupted()
-        print("interrupted", file=sys.stderr)
+        print(_farewell, file=sys.stderr)
         raise SystemExit(130) from None
     except (ValueError, OSError, ArithmeticError, ImportError) as error:
         if os.environ.get("OWM_TRACEBACK"):
             raise
         print(f"error: {plain(error)}", file=sys.stderr)
         raise SystemExit(2) from None
+    finally:
+        if alone:
+            end_when_interrupted()
+
+
+def end_when_interrupted() -> None:
+    """Let Ctrl-C end the process at once, while nothing is going on that it would have to unwind.
+
+    For the first lines of a command: imports that are interrupted may swallow `KeyboardInterrupt`, or print it.
+    """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, lambda *_: _end_interrupted())
+
+
+def resumable() -> None:
+    """Say of what the command does from now on that the same command goes on where it was interrupted."""
+    global _farewell
+    _farewell = "interrupted: the same command goes on where it was"
+
+
+_farewell = "interrupted"
 
 
 def tolerant_output() -> None:
@@ -60,8 +82,11 @@ def tolerant_output() -> None:
 
 
 def _watch_interrupts() -> None:
-    """Heed Ctrl-C while the main thread is inside XLA, where Python cannot raise `KeyboardInterrupt`."""
-    if threading.current_thread() is not threading.main_thread() or os.name == "nt":
+    """Raise `KeyboardInterrupt` again, and heed Ctrl-C inside XLA too, where Python cannot raise it."""
+    if threading.current_thread() is not threading.main_thread():
+        return
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if os.name == "nt":
         return
     told, tell = os.pipe()
     os.set_blocking(tell, False)
@@ -85,6 +110,9 @@ def _end_interrupted() -> NoReturn:
 
     Files are whole at any moment, so that nothing is left to clean up.
     """
-    sys.stdout.flush()
-    os.write(2, b"\ninterrupted: the same command goes on where it was\n")
+    with contextlib.suppress(Exception):
+        sys.stdout.flush()
+    with contextlib.suppress(OSError):
+        # Behind the terminal's ^C and a bar that was being drawn, which hides the cursor.
+        os.write(2, (b"\x1b[?25h\n" if os.isatty(2) else b"") + _farewell.encode() + b"\n")
     os._exit(130)

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from owm import __version__
-from owm_envs import shell
+from owm_envs.shell import resumable
+from owm_envs.shell import run as run_command
 from owm_envs.words import checked_seed, mistakes
 
 Shell = Literal["100-225", "100-125"]
@@ -77,6 +78,7 @@ def evaluate_docking(
     _compilation_cache()
     from owm.commands.run import evaluate_docking as run
 
+    resumable()
     scored = {"flights": flights, "ports": ports, "seed": seed, "shell": shell, "noise": noise}
     run(policies, **scored, slots=slots, out=out, fresh=fresh, processes=processes)
 
@@ -104,6 +106,7 @@ def evaluate_matrix(
     _compilation_cache()
     from owm.commands.run import evaluate_matrix as run
 
+    resumable()
     run(table, out=out, slots=slots, fresh=fresh, fly=fly, processes=processes, prediction=prediction)
 
 
@@ -170,6 +173,7 @@ def demo(
     _compilation_cache()
     from owm.commands.demo import demo as run
 
+    resumable()
     if not run(scale, out, seed, fresh=fresh):
         raise SystemExit(1)
 
@@ -203,6 +207,7 @@ def _train(preset: str):
         _cpu_devices(checked.devices)
         from owm.commands.run import train as run
 
+        resumable()
         run(data, out, checked, wandb)
 
     return train
@@ -232,6 +237,7 @@ def _train_ppo(preset: str):
         _compilation_cache()
         from owm.commands.run import train_ppo as run
 
+        resumable()
         run(out, checked)
 
     return train_ppo
@@ -266,7 +272,7 @@ def _checked(kind: Any, flags: Any) -> Any:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; see `owm_envs.shell.run`."""
-    shell.run("owm", "A world model of spacecraft rendezvous.", __version__, _application, arguments)
+    run_command("owm", "A world model of spacecraft rendezvous.", __version__, _application, arguments)
 
 
 def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:

@@ -3,11 +3,13 @@
 On a CPU that is faster than one process on all cores: a program's short loops gain little from a second core.
 """
 
+import contextlib
 import multiprocessing
 import os
+import signal
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 
@@ -30,12 +32,14 @@ def fly_side_by_side(
         RuntimeError: a process has died. What had landed is kept.
     """
     context = multiprocessing.get_context("spawn")
-    shares = context.SimpleQueue()
+    with _left_alone():
+        shares = context.SimpleQueue()
     for share in core_shares(processes):
         shares.put(share)
     began, at_first = time.monotonic(), missing_flights(stores)
     with ProcessPoolExecutor(processes, context, _settle, (shares, settings())) as pool:
-        flying = {pool.submit(_fly, store, slots) for store in stores}
+        with _left_alone():
+            flying = {pool.submit(_fly, store, slots) for store in stores}
         try:
             while flying:
                 ended, flying = wait(flying, timeout=poll, return_when=FIRST_COMPLETED)
@@ -52,6 +56,25 @@ def fly_side_by_side(
             ) from None
         finally:
             pool.shutdown(wait=False, cancel_futures=True)  # those that fly end their row
+
+
+@contextlib.contextmanager
+def _left_alone() -> Iterator[None]:
+    """Begin processes that leave Ctrl-C to this one, and do not complain of what it leaves when it ends."""
+    before = os.environ.get("PYTHONWARNINGS")
+    quiet = "ignore::UserWarning:multiprocessing.resource_tracker"
+    os.environ["PYTHONWARNINGS"] = f"{before},{quiet}" if before else quiet
+    if os.name != "nt":
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited
+    try:
+        yield
+    finally:
+        if os.name != "nt":
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if before is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = before
 
 
 def missing_flights(stores: Sequence) -> int:
