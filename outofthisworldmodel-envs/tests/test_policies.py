@@ -266,3 +266,25 @@ def test_a_seed_that_is_none_is_refused_at_once(policies):
 def test_predict_before_reset_asks_for_the_ports(policies):
     with pytest.raises(ValueError, match="call reset"):
         VectorPolicy(policies["dock"]).predict(np.zeros((1, 25), np.float32))
+
+
+def test_an_ended_slot_gets_no_action_until_it_begins_again(env, policies):
+    observations = _observations(env, 2)
+    policy = VectorPolicy(policies["dock"])
+    policy.reset(ports=[0, 1])
+    whole, _ = policy.predict(observations)
+    policy.active = np.array([True, False])
+    part, _ = policy.predict(observations)
+    np.testing.assert_array_equal(part, [whole[0], np.zeros(6)])
+    policy.reset(mask=[False, True])
+    np.testing.assert_array_equal(policy.predict(observations)[0], whole)
+
+
+def test_a_port_by_itself_is_one_slot_and_the_first_reset_starts_all(policies):
+    policy = VectorPolicy(policies["dock"])
+    policy.reset(ports="zvezda_aft")
+    assert policy.num_slots == 1
+    with pytest.raises(ValueError, match=r"mask must have shape \(2,\)"):
+        policy.reset(mask=[True], ports=[0, 1])
+    with pytest.raises(ValueError, match="must start every slot"):
+        VectorPolicy(policies["dock"]).reset(mask=[True, False], ports=[0, 1])
