@@ -22,6 +22,7 @@ from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import Sensor
+from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import unknown
 
 try:
@@ -149,7 +150,7 @@ class DockingParallelEnv(ParallelEnv):
         self._observation_spaces = {
             agent: space_of(self._program.env.observation_parts) for agent in self.possible_agents
         }
-        self.state_space = spaces.Box(-np.inf, np.inf, (26 * num_chasers,), np.float32)
+        self.state_space = spaces.Box(-np.inf, np.inf, ((VIEW_SIZE + 12 + 1) * num_chasers,), np.float32)
         self._state: FleetState | None = None
         self._info: dict[str, np.ndarray] = {}
         self._paths: list[list[np.ndarray]] = []
@@ -188,7 +189,7 @@ class DockingParallelEnv(ParallelEnv):
             key = seed_keys([checked_seed(seed)])[0]
         self._state, observations, self._info = self._program.reset(key, ports)
         self.agents = list(self.possible_agents)
-        self._paths = [[position] for position in self._info["true_state"][:, :3]]
+        self._paths = [[position] for position in View.of(self._info["true_state"]).position]
         return self._by_agent(observations, self.agents), self._infos(self.agents)
 
     def step(self, actions: Mapping[str, np.ndarray]):
@@ -203,9 +204,10 @@ class DockingParallelEnv(ParallelEnv):
         if not acting:
             return {}, {}, {}, {}, {}
         self._state, result, self._info = self._program.step(self._state, stacked)
-        for index, path in enumerate(self._paths):
-            if self.possible_agents[index] in acting:
-                path.append(self._info["true_state"][index, :3])
+        positions = View.of(self._info["true_state"]).position
+        for agent, path, position in zip(self.possible_agents, self._paths, positions):
+            if agent in acting:
+                path.append(position)
         rewards, terminated, truncated = (
             {agent: values[self.possible_agents.index(agent)].item() for agent in acting}
             for values in (result.reward, result.terminated, result.truncated)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from astrojax.attitude import accel_euler, quat_derivative, quat_normalize, quat_rotate
 from astrojax.integrators import rk4_step
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.view import View
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,8 @@ class FreeFlyer:
 
     def init(self, params, epoch, view):
         """State with the relative view `view` (13,) at `epoch` (2,)."""
-        chaser = VehicleState(view[:6], view[6:10], view[10:13])
+        _, _, attitude, rate = View.of(view)
+        chaser = VehicleState(view[:6], attitude, rate)
         return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
     def step(self, params, state, wrench, dt):

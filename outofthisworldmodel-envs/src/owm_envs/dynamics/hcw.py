@@ -21,6 +21,7 @@ from astrojax.constants import GM_EARTH
 from astrojax.elements import mean_motion
 from astrojax.integrators import rk4_step
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.view import View
 
 
 def station_rate(params):
@@ -37,8 +38,8 @@ class HillClohessyWiltshire:
 
     def init(self, params, epoch, view):
         """State with the relative view `view` (13,) at `epoch` (2,)."""
-        attitude = view[6:10]
-        rate = view[10:13] + quat_rotate(quat_conjugate(attitude), station_rate(params))
+        _, _, attitude, rate = View.of(view)
+        rate = rate + quat_rotate(quat_conjugate(attitude), station_rate(params))
         chaser = VehicleState(view[:6], attitude, rate)
         return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
