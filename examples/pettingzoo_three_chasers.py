@@ -16,13 +16,14 @@ from owm_envs.field import load_field
 from owm_envs.pettingzoo import parallel_env
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.station import hull_boxes
+from owm_envs.view import View
 
 
 def fly(env, policy: VectorPolicy, ports: list[str], seed: int, every: int) -> tuple[dict, dict, list]:
     """Fly until the last chaser has ended: final infos, tracks (T, 3) by agent, pictures every `every` decisions."""
     observations, infos = env.reset(seed=seed, options={"dock_ports": ports})
     policy.reset(ports=ports)
-    tracks = {agent: [info["true_state"][:3]] for agent, info in infos.items()}
+    tracks = {agent: [View.of(info["true_state"]).position] for agent, info in infos.items()}
     own = env.layout.own.size  # the pilot sees what a lone chaser sees
     seen = np.stack([observations[agent][:own] for agent in env.possible_agents])
     pictures, decisions = [], 0
@@ -32,7 +33,7 @@ def fly(env, policy: VectorPolicy, ports: list[str], seed: int, every: int) -> t
         infos.update(after)
         for agent, observation in observations.items():
             seen[env.possible_agents.index(agent)] = observation[:own]
-            tracks[agent].append(after[agent]["true_state"][:3])
+            tracks[agent].append(View.of(after[agent]["true_state"]).position)
         if decisions % every == 0 and env.render_mode is not None:
             pictures.append(env.render())
         decisions += 1

@@ -23,6 +23,7 @@ import numpy as np
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES
 from owm_envs.task.events import Outcome
+from owm_envs.view import View
 
 HOLD = 60  # steps of 0.05 s
 EFFORT = 0.1
@@ -35,7 +36,7 @@ def problem(fidelity: str, seed: int):
     params = env.default_params()
     begin = jax.jit(env.reset)
     state, _ = begin(params, key=jax.random.key(seed))
-    port = jnp.argmin(jnp.linalg.norm(params.goals[:, :3] - state.view[:3], axis=1))
+    port = jnp.argmin(jnp.linalg.norm(params.goals[:, :3] - View.of(state.view).position, axis=1))
     state, _ = begin(params, key=jax.random.key(seed), port=port)
     return env, params, state
 

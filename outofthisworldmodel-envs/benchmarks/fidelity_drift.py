@@ -19,6 +19,7 @@ from astrojax.attitude import quat_angle
 from owm_envs.config import load_config
 from owm_envs.env import DockingEnv
 from owm_envs.task.reset import sample_start
+from owm_envs.view import View
 
 NO_FORCES = {"zonal_degree": 0, "sun": False, "moon": False, "drag": False}
 CIRCULAR = {"eccentricity": 0.0}
@@ -63,9 +64,10 @@ def drift(dynamics, params, epochs, views, dt, steps):
 
 def differences(a, b):
     """Position [m], velocity [m/s] and attitude [deg] apart, each (B,)."""
-    angle = jax.vmap(quat_angle)(a[:, 6:10], b[:, 6:10])
-    parts = a[:, :6] - b[:, :6]
-    return [np.linalg.norm(parts[:, :3], axis=1), np.linalg.norm(parts[:, 3:], axis=1), np.degrees(angle)]
+    a, b = View.of(a), View.of(b)
+    angle = jax.vmap(quat_angle)(a.attitude, b.attitude)
+    position, velocity = a.position - b.position, a.velocity - b.velocity
+    return [np.linalg.norm(position, axis=1), np.linalg.norm(velocity, axis=1), np.degrees(angle)]
 
 
 def main() -> None:

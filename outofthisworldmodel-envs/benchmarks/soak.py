@@ -27,6 +27,7 @@ from astrojax.compilation import compiler_options
 from owm_envs.config import FIDELITIES
 from owm_envs.env import DockingEnv, EnvState, restart_where
 from owm_envs.task.events import Outcome
+from owm_envs.view import View
 
 HARD = {
     "noise": "noncooperative",
@@ -112,7 +113,7 @@ def soak(env: DockingEnv, params, slots: Slots) -> tuple[Slots, Tally]:
         state, result = jax.vmap(advance)(slots.horizon, slots.state, slots.held)
         info = jax.vmap(env.info, (None, 0))(params, state)
         ended = was_running & (state.outcome != Outcome.RUNNING)
-        length = jnp.sqrt(jnp.sum(state.view[:, 6:10] ** 2, axis=1))
+        length = jnp.sqrt(jnp.sum(View.of(state.view).attitude ** 2, axis=1))
         seen = Tally(
             steps=jnp.sum(was_running),
             outcomes=jnp.sum(ended[:, None] & (state.outcome[:, None] == jnp.arange(len(Outcome))), axis=0),

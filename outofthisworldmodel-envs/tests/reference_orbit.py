@@ -12,6 +12,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from owm_envs.view import View
+
 brahe.set_global_eop_provider_from_static_provider(brahe.StaticEOPProvider.from_zero())  # else it would download
 
 GM, RADIUS = 3.986004415e14, 6378136.3
@@ -121,9 +123,10 @@ def rotation(quaternion):
 def to_inertial(chief, accel, view):
     """Orbit (6,), attitude (rotation body to inertial) and inertial body rate (3,) of a chaser seen as `view` (13,)."""
     axes, rate = station_frame(chief, accel)
-    attitude = rotation(view[6:10])
-    moved = np.concatenate([view[:3], view[3:6] + np.cross(rate, view[:3])]).reshape(2, 3) @ axes
-    return chief + moved.ravel(), Rotation.from_matrix(axes.T) * attitude, view[10:] + attitude.inv().apply(rate)
+    seen = View.of(view)
+    attitude = rotation(seen.attitude)
+    moved = np.stack([seen.position, seen.velocity + np.cross(rate, seen.position)]) @ axes
+    return chief + moved.ravel(), Rotation.from_matrix(axes.T) * attitude, seen.rate + attitude.inv().apply(rate)
 
 
 def euler(rate, attitude, r, torque, vehicle):

@@ -1,5 +1,3 @@
-import itertools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +8,7 @@ from astrojax.constants import GM_EARTH
 from astrojax.relative import stm_hcw
 from owm_envs.config import FIDELITIES
 from owm_envs.dynamics.numerical import RTN_TO_STATION
+from owm_envs.view import View
 
 VIEW = np.array([30.0, -40.0, 20.0, 0.3, -0.2, 0.1, 0.5, 0.5, -0.5, 0.5, 0.004, -0.003, 0.002])
 STILL = {"zonal_degree": 0, "sun": False, "moon": False, "drag": False}
@@ -47,35 +46,34 @@ def apart(q, p):
 
 
 def test_init_is_the_inverse_of_the_relative_view(flight, fidelity):
-    view = flight(VIEW, steps=1, fidelity=fidelity)[0]
-    np.testing.assert_allclose(view[:3], VIEW[:3], atol=1e-7)
-    np.testing.assert_allclose(view[3:6], VIEW[3:6], atol=1e-9)
-    assert apart(view[6:10], VIEW[6:10]) < 1e-9
-    np.testing.assert_allclose(view[10:], VIEW[10:], atol=1e-12)
+    seen, given = View.of(flight(VIEW, steps=1, fidelity=fidelity)[0]), View.of(VIEW)
+    np.testing.assert_allclose(seen.position, given.position, atol=1e-7)
+    np.testing.assert_allclose(seen.velocity, given.velocity, atol=1e-9)
+    assert apart(seen.attitude, given.attitude) < 1e-9
+    np.testing.assert_allclose(seen.rate, given.rate, atol=1e-12)
 
 
 def test_velocity_and_rate_are_the_derivatives_of_position_and_attitude(flight, fidelity):
     dt = 0.05
     views = flight(VIEW, wrench=[800, -600, 400, 500, 300, -200], dt=dt, fidelity=fidelity)
-    moved = (views[2:, :3] - views[:-2, :3]) / (2 * dt)
-    np.testing.assert_allclose(moved, views[1:-1, 3:6], atol=1e-5)
-    for before, after in itertools.pairwise(views):
-        mean_rate = (before[10:] + after[10:]) / 2
-        turned = quat_multiply(jnp.asarray(before[6:10]), quat_from_rotation_vector(jnp.asarray(mean_rate * dt)))
-        assert apart(after[6:10], turned) < 1e-8
+    position, velocity, attitude, rate = View.of(views)
+    np.testing.assert_allclose((position[2:] - position[:-2]) / (2 * dt), velocity[1:-1], atol=1e-5)
+    turns = jnp.asarray((rate[1:] + rate[:-1]) / 2 * dt)
+    for before, after, turn in zip(attitude, attitude[1:], turns):
+        assert apart(after, quat_multiply(jnp.asarray(before), quat_from_rotation_vector(turn))) < 1e-8
 
 
 def test_thrust_accelerates_along_the_body_axes(flight, fidelity):
     at_rest = np.concatenate([np.zeros(6), [0.0, 0.0, 0.0, 1.0], np.zeros(3)])  # half a turn about zenith
-    views = flight(at_rest, wrench=[1200, 0, 600, 0, 0, 1000], fidelity=fidelity)
-    np.testing.assert_allclose(views[-1, 3:6], [-0.1, 0.0, 0.05], atol=5e-4)
-    np.testing.assert_allclose(views[-1, 10:], [0, 0, 1000 / 50_000], atol=2e-5)
+    end = View.of(flight(at_rest, wrench=[1200, 0, 600, 0, 0, 1000], fidelity=fidelity)[-1])
+    np.testing.assert_allclose(end.velocity, [-0.1, 0.0, 0.05], atol=5e-4)
+    np.testing.assert_allclose(end.rate, [0, 0, 1000 / 50_000], atol=2e-5)
 
 
 def test_free_flyer_drifts_straight(flight):
-    views = flight(VIEW, steps=200, fidelity="iss")
-    np.testing.assert_allclose(views[-1, :3], VIEW[:3] + 10 * VIEW[3:6], atol=1e-9)
-    np.testing.assert_allclose(views[-1, 3:6], VIEW[3:6], atol=1e-12)
+    start, end = View.of(VIEW), View.of(flight(VIEW, steps=200, fidelity="iss")[-1])
+    np.testing.assert_allclose(end.position, start.position + 10 * start.velocity, atol=1e-9)
+    np.testing.assert_allclose(end.velocity, start.velocity, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -89,11 +87,11 @@ def test_free_flyer_drifts_straight(flight):
 )
 def test_drift_follows_the_closed_form_of_hill(flight, overrides, scale, tolerance):
     view = np.concatenate([VIEW[:6] * scale, VIEW[6:]])
-    views = flight(view, steps=400, **overrides)
+    end = View.of(flight(view, steps=400, **overrides)[-1])
     n = np.sqrt(GM_EARTH / 6_795_000.0**3)
     relabel = np.kron(np.eye(2), RTN_TO_STATION)
     expected = relabel @ np.asarray(stm_hcw(n, 20.0)) @ relabel.T @ view[:6]
-    np.testing.assert_allclose(views[-1, :3], expected[:3], atol=tolerance)
+    np.testing.assert_allclose(end.position, expected[:3], atol=tolerance)
 
 
 @pytest.mark.parametrize("fidelity", ORBITAL)
@@ -106,7 +104,7 @@ def test_an_inertially_fixed_attitude_turns_backwards_in_the_station_frame(fligh
         overrides["forces"] = STILL
     end = flight(fixed, steps=400, **overrides)[-1]
     expected = quat_from_rotation_vector(jnp.asarray([-20 * n, 0.0, 0.0]))
-    assert apart(end[6:10], expected) < 1e-8
+    assert apart(View.of(end).attitude, expected) < 1e-8
 
 
 def test_gravity_gradient_acts_in_orbit_only(flight, fidelity):

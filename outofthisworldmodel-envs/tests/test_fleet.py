@@ -15,6 +15,7 @@ from owm_envs.station import PORTS, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.navigation import goal_error
 from owm_envs.task.separation import swept_separation
+from owm_envs.view import VIEW_SIZE, View
 
 RADIUS = 2.25
 NAMES = ("zvezda_aft", "poisk_zenith", "unity_nadir")
@@ -67,6 +68,12 @@ def coasting(positions, velocities=0.0):
     positions = np.asarray(positions, float)
     still = np.tile([1.0, 0, 0, 0, 0, 0, 0], (len(positions), 1))
     return np.concatenate([positions, np.broadcast_to(velocities, positions.shape), still], axis=1)
+
+
+def gap(views):
+    """Metres between the centres of the first two chasers."""
+    first, second, *_ = View.of(views).position
+    return np.linalg.norm(first - second)
 
 
 CROSSING = coasting(
@@ -150,14 +157,13 @@ def test_two_that_pass_through_each_other_within_a_step_have_both_collided(x64, 
     env, params, reset, step = fleet(fidelity="iss")
     state = place_fleet(env, params, reset(params, key=jax.random.key(0), ports=TO)[0], CROSSING)
     after, result = step(params, state, np.zeros((3, 6)))
-    gap = np.linalg.norm(after.chasers.view[0, :3] - after.chasers.view[1, :3])
-    assert gap > 2 * RADIUS < np.linalg.norm(CROSSING[0, :3] - CROSSING[1, :3])
+    assert gap(after.chasers.view) > 2 * RADIUS < gap(CROSSING)
     assert after.chasers.outcome.tolist() == [Outcome.COLLIDED, Outcome.COLLIDED, Outcome.RUNNING]
     assert after.chasers.collided.tolist() == [True, True, False]
     assert result.terminated.tolist() == [True, True, False]
     assert result.reward[0] < -1e5 and result.reward[1] < -1e5 and result.reward[2] > -10
     np.testing.assert_allclose(after.separation[:2], 2 - 2 * RADIUS, atol=1e-9)  # the tracks are 2 m apart
-    clear = CROSSING - np.array([[0], [2.6], [0]]) * np.eye(13)[2]
+    clear = CROSSING - np.array([[0], [2.6], [0]]) * np.eye(VIEW_SIZE)[2]
     after, result = step(params, place_fleet(env, params, state, clear), np.zeros((3, 6)))
     assert not after.chasers.collided.any() and not result.terminated.any()
     np.testing.assert_allclose(after.separation[:2], 4.6 - 2 * RADIUS, atol=1e-9)
@@ -169,7 +175,7 @@ def test_contact_within_a_held_action_is_charged_once(x64, fleet):
     views = coasting([[-20, -150, 0], [20, -150, 0], [120, -100, 0]], [[40.0, 0, 0], [-40, 0, 0], [0, 0, 0]])
     state = place_fleet(env, params, start, views)
     after, result = step(params, state, np.zeros((3, 6)))
-    assert np.linalg.norm(after.chasers.view[0, :3] - after.chasers.view[1, :3]) > 30
+    assert gap(after.chasers.view) > 30
     assert after.chasers.collided.tolist() == [True, True, False]
     assert after.chasers.outcome.tolist() == [Outcome.RUNNING] * 3
     free = {**params.reward, "collision": jnp.zeros(())}
@@ -182,7 +188,7 @@ def test_a_parked_vehicle_is_an_obstacle_and_keeps_its_outcome(x64, fleet):
     state, _ = reset(params, key=jax.random.key(0), ports=TO)
     goal = np.asarray(params.goals[TO[0]])
     views = coasting([goal[:3], goal[:3] + [0, 8.0, 0], [120, -100, 0]], [[0, 0.4, 0], [0, -20, 0], [0, 0, 0]])
-    views[0, 6:10] = goal[3:]
+    View.of(views).attitude[0] = goal[3:]
     parked, result = step(params, place_fleet(env, params, state, views), np.zeros((3, 6)))
     assert parked.chasers.outcome.tolist() == [Outcome.DOCKED, Outcome.RUNNING, Outcome.RUNNING]
     # It is seen at rest where it was captured, whatever its speed then.
@@ -203,7 +209,7 @@ def test_docking_within_a_held_action_stops_one_and_not_the_others(x64, fleet):
     state, _ = fleet(fidelity="iss")[2](params, key=jax.random.key(0), ports=TO)
     goal = np.asarray(params.goals[TO[0]])
     views = coasting([goal[:3] + [0, 0.12, 0], [0, 100, 100], [120, -100, 0]], [[0, -0.4, 0], [0, 1, 0], [0, 0, 0]])
-    views[0, 6:10] = goal[3:]
+    View.of(views).attitude[0] = goal[3:]
     state, _ = step(params, place_fleet(env, params, state, views), np.zeros((3, 6)))
     assert state.chasers.outcome.tolist() == [Outcome.DOCKED, Outcome.RUNNING, Outcome.RUNNING]
     np.testing.assert_allclose(state.chasers.view[:2, 1], [goal[1] + 0.12 - 0.02 * 2, 101], atol=0.021)
@@ -223,7 +229,7 @@ def starts(fleet):
 
 
 def nearest_pair(state):
-    position = np.asarray(state.chasers.view[..., :3])
+    position = np.asarray(View.of(state.chasers.view).position)
     return (np.linalg.norm(position[:, :, None] - position[:, None], axis=-1) + 1e3 * np.eye(3)).min(axis=(1, 2))
 
 
@@ -334,7 +340,7 @@ def test_three_chasers_dock_side_by_side(x64, fleet):
     state, _ = fleet(fidelity="iss")[2](params, key=jax.random.key(0), ports=TO)
     goals = np.asarray(params.goals)[TO]
     views = coasting(goals[:, :3] + 15.0 * np.array([PORTS[port].normal for port in TO]))
-    views[:, 6:10] = goals[:, 3:]
+    View.of(views).attitude[:] = goals[:, 3:]
     state, result = step(params, place_fleet(env, params, state, views), np.zeros((3, 6)))
     policy = make_policy("dock", env.docking)
     act = quick(jax.vmap(lambda port, observation: policy.act(port, observation)[0]))

@@ -19,6 +19,7 @@ from owm_envs.env import DockingEnv
 from owm_envs.pettingzoo import parallel_env
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.rollout import episodes, rollout
+from owm_envs.view import View
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -32,11 +33,11 @@ def make(**kwargs):
 def flown(env, seed, actions):
     """Observations and true distances of a flight."""
     observation, info = env.reset(seed=seed)
-    seen, truth = [observation], [np.linalg.norm(info["true_state"][:3])]
+    seen, truth = [observation], [np.linalg.norm(View.of(info["true_state"]).position)]
     for action in actions:
         observation, _, terminated, truncated, info = env.step(action)
         seen.append(observation)
-        truth.append(np.linalg.norm(info["true_state"][:3]))
+        truth.append(np.linalg.norm(View.of(info["true_state"]).position))
         if terminated or truncated:
             break
     return seen, np.array(truth)

@@ -13,6 +13,7 @@ from owm_envs.pettingzoo import parallel_env
 from owm_envs.render.fleet import COLOURS
 from owm_envs.station import PORT_NAMES
 from owm_envs.task.events import Outcome
+from owm_envs.view import VIEW_SIZE, View
 
 # Some start beyond the escape radius and leave after one step, the others time out after five: agents end apart.
 SHORT = {"fidelity": "iss", "noise": "cooperative", "normalize": True, "horizon": 0.5, "steps_per_action": 2}
@@ -28,8 +29,9 @@ def leaving_apart(env):
     """Starts an episode in which some chasers begin beyond the escape radius and some do not."""
     for seed in range(100):
         _, infos = env.reset(seed=seed)
-        beyond = {agent for agent, info in infos.items() if np.linalg.norm(info["true_state"][:3]) > 161}
-        if 0 < len(beyond) < 3 and all(abs(np.linalg.norm(i["true_state"][:3]) - 160) > 1 for i in infos.values()):
+        away = {agent: np.linalg.norm(View.of(info["true_state"]).position) for agent, info in infos.items()}
+        beyond = {agent for agent, distance in away.items() if distance > 161}
+        if 0 < len(beyond) < 3 and all(abs(distance - 160) > 1 for distance in away.values()):
             return seed, beyond
     raise AssertionError("no seed of a hundred starts so")
 
@@ -103,7 +105,7 @@ def test_without_a_seed_episodes_follow_from_the_first():
 def test_observations_are_measured_and_infos_true():
     env = make()
     observations, infos = env.reset(seed=2)
-    position = {agent: info["true_state"][:3] for agent, info in infos.items()}
+    position = {agent: View.of(info["true_state"]).position for agent, info in infos.items()}
     for agent, others in [("chaser_0", ["chaser_1", "chaser_2"]), ("chaser_1", ["chaser_0", "chaser_2"])]:
         seen = observations[agent]
         assert env.observation_space(agent).contains(seen)
@@ -114,7 +116,7 @@ def test_observations_are_measured_and_infos_true():
     assert infos["chaser_0"]["true_state"].dtype == np.float64 and infos["chaser_0"]["port"].dtype == np.int32
     state = env.state()
     assert env.state_space.contains(state)
-    np.testing.assert_allclose(state.reshape(3, 26)[1, :13], infos["chaser_1"]["true_state"], rtol=1e-6)
+    np.testing.assert_allclose(state.reshape(3, 26)[1, :VIEW_SIZE], infos["chaser_1"]["true_state"], rtol=1e-6)
     assert state.reshape(3, 26)[:, 25].tolist() == [1, 1, 1]
 
 

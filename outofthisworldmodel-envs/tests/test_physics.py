@@ -13,6 +13,7 @@ from astrojax.eclipse import illumination_conical
 from astrojax.ephemeris import sun_position
 from owm_envs.env import DockingEnv
 from owm_envs.task.reset import sample_start
+from owm_envs.view import View
 
 # Tests are imported by path, not from a package, so their common helper has to be made findable.
 sys.path.insert(0, str(Path(__file__).parent))
@@ -71,7 +72,7 @@ def view_of(position, velocity=(0.0, 0.0, 0.0), attitude=ATTITUDE, rate=RATE):
 
 def turned(a, b):
     """Angle [rad] between the attitudes of two views."""
-    return (reference.rotation(a[6:10]).inv() * reference.rotation(b[6:10])).magnitude()
+    return (reference.rotation(View.of(a).attitude).inv() * reference.rotation(View.of(b).attitude)).magnitude()
 
 
 def distance(a, b):
@@ -176,17 +177,17 @@ def test_two_independent_propagations_agree_within_a_tenth_of_a_millimetre(fly, 
         for propagate in (reference.fly_scipy, reference.fly_brahe):
             ends = propagate(epoch, chief, view, wrenches, duration)
             for k, end in enumerate(ends, 1):
-                ours = views[k * SEGMENTS // len(ends)]
+                ours = View.of(views[k * SEGMENTS // len(ends)])
                 orbit, attitude, rate = reference.station_relative(end, epoch, k * duration)
                 figures = (
-                    np.linalg.norm(orbit[:3] - ours[:3]),
-                    np.linalg.norm(orbit[3:] - ours[3:6]),
-                    (attitude.inv() * reference.rotation(ours[6:10])).magnitude(),
-                    np.linalg.norm(rate - ours[10:]),
+                    np.linalg.norm(orbit[:3] - ours.position),
+                    np.linalg.norm(orbit[3:] - ours.velocity),
+                    (attitude.inv() * reference.rotation(ours.attitude)).magnitude(),
+                    np.linalg.norm(rate - ours.rate),
                 )
                 assert np.all(np.less(figures, (1e-4, 1e-6, 1e-7, 1e-9))), (propagate.__name__, k, figures)
             assert distance(chiefs[-1], ends[-1][0]) < 1e-3
-        assert np.linalg.norm(views[-1, :3]) < 750
+        assert np.linalg.norm(View.of(views[-1]).position) < 750
 
 
 # --- conservation ---
@@ -222,8 +223,8 @@ def test_a_free_body_keeps_its_energy_and_angular_momentum(fly):
     moments = np.array([80_000.0, 60_000.0, 50_000.0])
     view = view_of(np.zeros(3), rate=[0.02, 0.05, -0.03])
     _, views = fly(view, seconds=PERIOD, fidelity="iss", chaser={"inertia": tuple(moments)})
-    rates = views[:, 10:]
-    momentum = np.array([reference.rotation(v[6:10]).apply(moments * v[10:]) for v in views])
+    _, _, attitudes, rates = View.of(views)
+    momentum = np.array([reference.rotation(q).apply(moments * rate) for q, rate in zip(attitudes, rates)])
     energy = (moments * rates**2).sum(1) / 2
     assert np.ptp(rates, axis=0).min() > 0.01
     np.testing.assert_allclose(energy, energy[0], rtol=0, atol=1e-6)  # J, of 145
@@ -239,12 +240,13 @@ def test_a_librating_body_keeps_its_jacobi_integral(fly, fidelity):
     _, views = fly(view, seconds=PERIOD, fidelity=fidelity, chaser={"inertia": tuple(moments)}, **orbit)
 
     def integral(view):
-        normal, _, zenith = reference.rotation(view[6:10]).as_matrix()
+        _, _, attitude, rate = View.of(view)
+        normal, _, zenith = reference.rotation(attitude).as_matrix()
         along = 3 * (moments * zenith**2).sum() - (moments * normal**2).sum()
-        return ((moments * view[10:] ** 2).sum() + MEAN_MOTION**2 * along) / 2
+        return ((moments * rate**2).sum() + MEAN_MOTION**2 * along) / 2
 
     values = np.array([integral(v) for v in views])
-    assert np.ptp((moments * views[:, 10:] ** 2).sum(1)) / 2 > 0.02  # J: the parts do change
+    assert np.ptp((moments * View.of(views).rate ** 2).sum(1)) / 2 > 0.02  # J: the parts do change
     np.testing.assert_allclose(values, values[0], rtol=0, atol=1e-12)
 
 
@@ -258,7 +260,7 @@ def test_hill_keeps_its_invariants_and_closes_the_drift_free_ellipse(fly):
     assert distance(views[6], views[0]) > 100
     for view in (ellipse, drifting):
         _, views = fly(view, seconds=PERIOD, fidelity="iss-hcw")
-        (x, _, z), (vx, vy, vz) = views[:, :3].T, views[:, 3:6].T
+        (x, _, z), (vx, vy, vz) = (part.T for part in View.of(views)[:2])
         energy = (vx**2 + vy**2 + vz**2 + n**2 * (x**2 - 3 * z**2)) / 2
         np.testing.assert_allclose(energy, energy[0], rtol=0, atol=1e-11)  # J/kg
         np.testing.assert_allclose(vy - 2 * n * z, vy[0] - 2 * n * z[0], rtol=0, atol=1e-11)  # m/s
@@ -290,15 +292,17 @@ def test_the_station_frame_turns_with_its_orbit_plane_too(fly):
         return np.array([spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]]) / 2
 
     chiefs, views = fly(view_of(225 * OBLIQUE, [0.1, -0.2, 0.1]), seconds=6.0, **at)
-    np.testing.assert_allclose(views[6, 3:6], derivative(views, 6, 0.5)[:3], rtol=0, atol=1e-6)  # m/s
+    position, velocity, *_ = View.of(views)
+    np.testing.assert_allclose(velocity[6], derivative(position, 6, 0.5), rtol=0, atol=1e-6)  # m/s
     rate = frame_rate(chiefs, 0, 0.5, forward)
     assert abs(rate[2]) > 1e-6  # rad/s: else this would show nothing
 
     still = -reference.rotation(ATTITUDE).inv().apply(rate)
     chiefs, views = fly(view_of(225 * OBLIQUE, rate=still), **at)
-    attitudes = [reference.Rotation.from_matrix(axes(c).T) * reference.rotation(v[6:10]) for c, v in zip(chiefs, views)]
+    _, _, attitude, rates = View.of(views)
+    attitudes = [reference.Rotation.from_matrix(axes(c).T) * reference.rotation(q) for c, q in zip(chiefs, attitude)]
     assert (attitudes[0].inv() * attitudes[-1]).magnitude() < 1e-7  # rad
-    seen = -reference.rotation(views[6, 6:10]).apply(views[6, 10:])
+    seen = -reference.rotation(attitude[6]).apply(rates[6])
     np.testing.assert_allclose(seen, frame_rate(chiefs, 6, 30.0), rtol=0, atol=1e-9)  # rad/s
 
 

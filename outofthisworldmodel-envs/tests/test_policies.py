@@ -14,6 +14,7 @@ from owm_envs.policies.base import pointing_error, read_view
 from owm_envs.rollout import episodes, rollout
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes
 from owm_envs.task.events import Outcome
+from owm_envs.view import View
 
 PULLED = ("random", "orbit", "dock", "excite")
 FOLLOWING = ("dock-geodesic", "dock-geodesic-integral")
@@ -90,17 +91,18 @@ def test_integral_action_holds_off_a_steady_disturbance(env, policies):
             observation = jnp.zeros(env.layout.size).at[env.layout.view].set(view)
             action, state = policy.act(state, observation)
             force, torque = jnp.split(jnp.clip(action, -1600, 1600), 2)
-            accel = quat_rotate(view[6:10], force / vehicle.mass) + jnp.float32([0.02, 0, 0])
-            rate = view[10:] + 0.25 * (torque / jnp.float32(vehicle.inertia) + jnp.float32([0, 5e-4, 0]))
-            velocity = view[3:6] + 0.25 * accel
-            turned = quat_multiply(view[6:10], quat_from_rotation_vector(0.25 * rate))
-            view = jnp.concatenate([view[:3] + 0.25 * velocity, velocity, turned, rate])
-            return (state, view), state
+            position, velocity, attitude, rate = View.of(view)
+            accel = quat_rotate(attitude, force / vehicle.mass) + jnp.float32([0.02, 0, 0])
+            rate = rate + 0.25 * (torque / jnp.float32(vehicle.inertia) + jnp.float32([0, 5e-4, 0]))
+            velocity = velocity + 0.25 * accel
+            turned = quat_multiply(attitude, quat_from_rotation_vector(0.25 * rate))
+            return (state, View(position + 0.25 * velocity, velocity, turned, rate).numbers()), state
 
         view = jnp.concatenate([goal[:3] + jnp.float32([0, -2, 0]), jnp.zeros(3), goal[3:], jnp.zeros(3)])
         (_, view), states = jax.lax.scan(step, (policy.init(jax.random.key(0), 0), view), length=480)
-        turn = 2 * jnp.linalg.norm(view[6:10] - goal[3:])
-        return jnp.linalg.norm(view[:3] - goal[:3]), turn, states
+        position, _, attitude, _ = View.of(view)
+        turn = 2 * jnp.linalg.norm(attitude - goal[3:])
+        return jnp.linalg.norm(position - goal[:3]), turn, states
 
     plain, plain_turn, _ = jax.jit(miss)(policies["dock-geodesic"])
     held, held_turn, states = jax.jit(miss)(policies["dock-geodesic-integral"])
@@ -112,12 +114,12 @@ def test_integral_action_holds_off_a_steady_disturbance(env, policies):
 def test_orbit_keeps_to_a_circle_with_the_nose_at_its_centre(env, flights):
     for episode in flights["orbit"]:
         assert episode.outcome == Outcome.TIMEOUT
-        settled = episode.true_state[len(episode) // 2 :]
-        radius = np.linalg.norm(settled[:, :3], axis=1)
+        settled = View.of(episode.true_state[len(episode) // 2 :])
+        radius = np.linalg.norm(settled.position, axis=1)
         assert np.ptp(radius) < 4.0 and 78.0 < radius.mean() < 132.0
-        centripetal = np.linalg.norm(settled[:, 3:6], axis=1) ** 2 / radius * 12_000.0
+        centripetal = np.linalg.norm(settled.velocity, axis=1) ** 2 / radius * 12_000.0
         assert np.all((centripetal > 0.5 * 960.0) & (centripetal < 1.1 * 960.0))
-        nose = -settled[:, :3] / radius[:, None]
+        nose = -settled.position / radius[:, None]
         views = [
             read_view(env.layout, jnp.asarray(row)) for row in episode.observation["state"][len(episode) // 2 :: 90]
         ]
@@ -138,7 +140,7 @@ def test_excite_holds_for_two_seconds_and_keeps_rates_in_a_planners_range(flight
         held = episode.action[: len(episode) // 8 * 8].reshape(-1, 8, 6)
         assert np.all(held == held[:, :1])
         assert len(np.unique(held[:, 0, 0])) > len(held) // 2
-        assert np.linalg.norm(episode.true_state[:, 10:], axis=1).max() < 0.2
+        assert np.linalg.norm(View.of(episode.true_state).rate, axis=1).max() < 0.2
 
 
 @pytest.mark.parametrize("name", POLICY_NAMES)
@@ -165,8 +167,9 @@ def test_no_policy_can_be_taken_for_another(policies):
 def _observations(env, count):
     rng = np.random.default_rng(0)
     observation = rng.normal(size=(count, env.layout.size)).astype(np.float32)
-    observation[:, :3] *= 100
-    observation[:, 6:10] /= np.linalg.norm(observation[:, 6:10], axis=1, keepdims=True)
+    position, _, attitude, _ = View.of(observation[:, env.layout.view])
+    position *= 100
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
     return observation
 
 

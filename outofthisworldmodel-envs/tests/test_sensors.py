@@ -13,7 +13,6 @@ from owm_envs.view import View
 
 BIAS = {"position": 0.3, "velocity": 0.02, "attitude": 1e-3, "rate": 2e-4, "correlation_time": 20.0}
 NOISE = {"position": 0.05, "velocity": 0.002, "attitude": 5e-5, "rate": 1e-5}
-PARTS = (slice(0, 3), slice(3, 6), slice(10, 13))
 
 
 def histories(correlation_time, dt, steps, count=4000):
@@ -62,12 +61,13 @@ def test_white_and_correlated_parts_add_with_their_stated_total_rms(x64):
     both, white = measured(params.noise, keys)
     plain = params_from_config(load_config(noise=NOISE)).noise
     np.testing.assert_array_equal(white, measured(plain, keys)[1])
-    for part, name in zip(PARTS, ("position", "velocity", "rate")):
-        rms = np.sqrt(np.mean(np.sum(np.asarray(both - view)[:, part] ** 2, axis=1)))
+    errors, biases = View.of(np.asarray(both - view)), View.of(np.asarray(both - white))
+    for name in ("position", "velocity", "rate"):
+        rms = np.sqrt(np.mean(np.sum(getattr(errors, name) ** 2, axis=1)))
         assert rms == pytest.approx(np.hypot(BIAS[name], NOISE[name]), rel=0.02)
-        added = np.sqrt(np.mean(np.sum(np.asarray(both - white)[:, part] ** 2, axis=1)))
+        added = np.sqrt(np.mean(np.sum(getattr(biases, name) ** 2, axis=1)))
         assert added == pytest.approx(BIAS[name], rel=0.02)
-    turn = 2 * np.linalg.norm(np.asarray(both - white)[:, 6:10], axis=1)  # small angles
+    turn = 2 * np.linalg.norm(biases.attitude, axis=1)  # small angles
     assert np.sqrt(np.mean(turn**2)) == pytest.approx(BIAS["attitude"], rel=0.02)
 
 
@@ -77,13 +77,13 @@ def test_an_environment_s_bias_drifts_beside_the_same_white_noise(x64, docking):
     _, biased, reset_biased, step_biased = docking(fidelity="iss", noise={**NOISE, "bias": BIAS})
     key = jax.random.key(8)
     (state, first), (state_biased, first_biased) = reset(params, key=key), reset_biased(biased, key=key)
-    assert 0.01 < np.linalg.norm(first_biased["state"][:3] - first["state"][:3]) < 2
+    assert 0.01 < np.linalg.norm(View.of(first_biased["state"] - first["state"]).position) < 2
     offsets = []
     for _ in range(4):
         state, _ = step(params, state, jnp.zeros(6))
         state_biased, _ = step_biased(biased, state_biased, jnp.zeros(6))
         np.testing.assert_allclose(state_biased.view, state.view, rtol=0, atol=1e-12)
-        offsets.append(np.asarray(state_biased.measured["state"] - state.measured["state"])[:3])
+        offsets.append(View.of(np.asarray(state_biased.measured["state"] - state.measured["state"])).position)
         size = np.asarray(state_biased.bias[0]) * BIAS["position"] / np.sqrt(3)
         np.testing.assert_allclose(offsets[-1], size, atol=1e-9)
     moved = np.linalg.norm(np.diff(offsets, axis=0), axis=1)

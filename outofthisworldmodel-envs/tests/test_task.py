@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_rotate
+from astrojax.attitude import quat_angle, quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm_envs.config import REWARD_PRESETS, load_config
 from owm_envs.config.params import params_from_config
 from owm_envs.env import DockingEnv, FleetEnv
@@ -13,7 +13,7 @@ from owm_envs.task.navigation import goal_error, measure
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.reset import sample_start
 from owm_envs.task.reward import pseudo_huber
-from owm_envs.view import View
+from owm_envs.view import VIEW_SLICES, View
 
 QUICK = {"fidelity": "iss"}
 
@@ -26,15 +26,15 @@ def starts(count=2000, **overrides):
 
 def test_starts_fill_the_ranges_of_the_task(x64):
     params, drawn = starts()
-    view = np.asarray(drawn.view)
-    radius = np.linalg.norm(view[:, :3], axis=1)
+    position, velocity, attitude, rate = View.of(np.asarray(drawn.view))
+    radius = np.linalg.norm(position, axis=1)
     assert 100 <= radius.min() < 102 and 223 < radius.max() <= 225
     assert abs(radius.mean() - 162.5) < 3
-    assert 0.097 < np.linalg.norm(view[:, 3:6], axis=1).max() <= 0.1
-    assert 0.0097 < np.linalg.norm(view[:, 10:], axis=1).max() <= 0.01
-    outward = view[:, :3] / radius[:, None]
+    assert 0.097 < np.linalg.norm(velocity, axis=1).max() <= 0.1
+    assert 0.0097 < np.linalg.norm(rate, axis=1).max() <= 0.01
+    outward = position / radius[:, None]
     assert np.abs(outward.mean(0)).max() < 0.05
-    nose = jax.vmap(quat_rotate, (0, None))(jnp.asarray(view[:, 6:10]), jnp.asarray([0.0, 0.0, 1.0]))
+    nose = jax.vmap(quat_rotate, (0, None))(jnp.asarray(attitude), jnp.asarray([0.0, 0.0, 1.0]))
     off = np.degrees(np.arccos(-np.sum(np.asarray(nose) * outward, axis=1)))
     assert 9 < off.max() <= 10 and off.min() < 1
     days = np.asarray(drawn.epoch) @ [1, 1 / 86_400] - float(params.chief.epoch[0])
@@ -61,16 +61,16 @@ def test_the_same_seed_starts_the_same_at_any_rate_of_decision_port_list_and_noi
 @pytest.mark.parametrize("preset", ["none", "cooperative", "noncooperative"])
 def test_noise_has_the_stated_total_rms(x64, preset):
     noise = params_from_config(load_config(noise=preset)).noise
-    view = jnp.asarray([60.0, -80.0, 0.0, 0, 0, 0, 0.5, -0.5, 0.5, 0.5, 0, 0, 0])
+    view = View.of(jnp.asarray([60.0, -80.0, 0.0, 0, 0, 0, 0.5, -0.5, 0.5, 0.5, 0, 0, 0]))
     keys = jax.random.split(jax.random.key(1), 20_000)
-    measured = np.asarray(jax.vmap(lambda key: measure(noise, View.of(view), key=key))(keys))
-    angles = np.asarray(jax.vmap(lambda q: quat_angle(q, view[6:10]))(jnp.asarray(measured[:, 6:10])))
+    measured = View.of(np.asarray(jax.vmap(lambda key: measure(noise, view, key=key))(keys)))
+    angles = np.asarray(jax.vmap(lambda q: quat_angle(q, view.attitude))(jnp.asarray(measured.attitude)))
     total = float(noise.position) + 100 * float(noise.position_per_range)
     rms = lambda x: np.sqrt((x**2).sum(1).mean())
-    assert rms(measured[:, :3] - view[:3]) == pytest.approx(total, rel=0.02)
-    assert rms(measured[:, 3:6]) == pytest.approx(float(noise.velocity), rel=0.02)
+    assert rms(measured.position - view.position) == pytest.approx(total, rel=0.02)
+    assert rms(measured.velocity) == pytest.approx(float(noise.velocity), rel=0.02)
     assert np.sqrt((angles**2).mean()) == pytest.approx(float(noise.attitude), rel=0.02, abs=1e-12)
-    assert rms(measured[:, 10:]) == pytest.approx(float(noise.rate), rel=0.02)
+    assert rms(measured.rate) == pytest.approx(float(noise.rate), rel=0.02)
 
 
 def test_goal_error_is_zero_at_the_goal_and_blind_to_quaternion_signs(x64):
@@ -78,8 +78,8 @@ def test_goal_error_is_zero_at_the_goal_and_blind_to_quaternion_signs(x64):
     at_goal = jnp.concatenate([goal[:3], jnp.zeros(3), goal[3:], jnp.zeros(3)])
     np.testing.assert_allclose(goal_error(at_goal, goal), 0, atol=1e-12)
     turn = jnp.asarray([0.1, -0.2, 0.3])
-    turned = at_goal.at[6:10].set(quat_multiply(goal[3:], quat_from_rotation_vector(-turn)))
-    for view in (turned, turned.at[6:10].multiply(-1)):
+    turned = at_goal.at[VIEW_SLICES.attitude].set(quat_multiply(goal[3:], quat_from_rotation_vector(-turn)))
+    for view in (turned, turned.at[VIEW_SLICES.attitude].multiply(-1)):
         np.testing.assert_allclose(goal_error(view, goal)[6:9], turn, atol=1e-12)
 
 
@@ -150,11 +150,12 @@ def test_reward_is_the_paper_s_formula(x64, docking, place, preset):
     action = np.array([160.0, 0, 0, 0, -200.0, 0])
     view = near_goal((0, offset, 0), (0, 0, speed), (tilt, 0, 0), (0, 0, rate))
     _, state, result = approach(docking, place, view, action, reward=preset)
-    goal = near_goal()(np.asarray(params_from_config(load_config()).goals[port_index("zvezda_aft")]))
-    d = float(np.linalg.norm(state.view[:3] - goal[:3]))
-    v = float(np.linalg.norm(state.view[3:6]))
-    angle = float(quat_angle(state.view[6:10], jnp.asarray(goal[6:10])))
-    w = float(np.linalg.norm(state.view[10:]))
+    goal = params_from_config(load_config()).goals[port_index("zvezda_aft")]
+    position, velocity, attitude, turning = View.of(state.view)
+    d = float(np.linalg.norm(position - goal[:3]))
+    v = float(np.linalg.norm(velocity))
+    angle = float(quat_angle(attitude, goal[3:]))
+    w = float(np.linalg.norm(turning))
     gate = weights.gate_far + (1 - weights.gate_far) / (1 + (d / 25.0) ** 2)
     expected = (
         weights.position * (np.sqrt(d**2 + 1) - 1) / 225
@@ -220,12 +221,12 @@ def test_actions_are_delivered_late_scaled_and_turned_as_configured(x64, docking
     chaser = {"actuation_delay": 2, "thrust_scale": (0.5,) + (1.0,) * 5, "misalignment": (0.0, 0.0, np.pi / 2)}
     _, params, reset, step = docking(**QUICK, chaser=chaser)
     state, _ = reset(params, key=jax.random.key(3))
-    speeds = [state.view[3:6]]
+    velocities = [View.of(state.view).velocity]
     for _ in range(3):
         state, _ = step(params, state, jnp.asarray([1200.0, 0, 0, 0, 0, 0]))
-        speeds.append(state.view[3:6])
-    np.testing.assert_allclose(speeds[2], speeds[0], atol=1e-12)
-    gained = quat_rotate(state.view[6:10] * jnp.asarray([1, -1, -1, -1]), speeds[3] - speeds[2])
+        velocities.append(View.of(state.view).velocity)
+    np.testing.assert_allclose(velocities[2], velocities[0], atol=1e-12)
+    gained = quat_rotate(quat_conjugate(View.of(state.view).attitude), velocities[3] - velocities[2])
     np.testing.assert_allclose(gained, [0, 0.0025, 0], atol=1e-5)
 
 
@@ -234,7 +235,7 @@ def test_the_wrench_limit_is_a_parameter(x64, docking):
     state, _ = reset(params, key=jax.random.key(3))
     weak = params._replace(chaser=params.chaser._replace(wrench_limit=params.chaser.wrench_limit * 0.1))
     push = jnp.asarray([1600.0, 0, 0, 0, 0, 0])
-    full, tenth = (jnp.linalg.norm(step(p, state, push)[0].view[3:6] - state.view[3:6]) for p in (params, weak))
+    full, tenth = (jnp.linalg.norm(View.of(step(p, state, push)[0].view - state.view).velocity) for p in (params, weak))
     assert float(tenth / full) == pytest.approx(0.1, rel=1e-3)
 
 
@@ -244,7 +245,8 @@ def test_parameters_can_be_swept_and_differentiated(x64, docking):
 
     def final_speed(mass):
         heavier = params._replace(chaser=params.chaser._replace(mass=mass))
-        return jnp.sum(env.step(heavier, state, jnp.asarray([800.0, 0, 0, 0, 0, 0]))[0].view[3:6] ** 2)
+        after, _ = env.step(heavier, state, jnp.asarray([800.0, 0, 0, 0, 0, 0]))
+        return jnp.sum(View.of(after.view).velocity ** 2)
 
     masses = jnp.asarray([6_000.0, 12_000.0, 24_000.0])
     assert len(set(np.asarray(jax.vmap(final_speed)(masses)).tolist())) == 3

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from functools import cache
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_normalize, quat_rotate
 from owm.interface import History
 from owm_envs.field import FieldConfig, GeodesicField, solve_field
 from owm_envs.station import PORTS, goal_poses
+from owm_envs.view import View
 
 PORT = 0
 GOAL = goal_poses()[PORT].astype(np.float32)
@@ -37,12 +37,11 @@ class FreeBody:
 
     def step(self, params, key, action, state):
         dt = self.dt
-        acceleration = quat_rotate(state[6:10], action[:3] / 12_000.0) + params[:3]
-        rate = state[10:] + dt * (action[3:] / 80_000.0 + params[3:])
-        velocity = state[3:6] + dt * acceleration
-        position = state[:3] + dt * velocity
-        attitude = quat_multiply(state[6:10], quat_from_rotation_vector(dt * rate))
-        return jnp.concatenate([position, velocity, quat_normalize(attitude), rate])
+        position, velocity, attitude, rate = View.of(state)
+        velocity = velocity + dt * (quat_rotate(attitude, action[:3] / 12_000.0) + params[:3])
+        rate = rate + dt * (action[3:] / 80_000.0 + params[3:])
+        attitude = quat_multiply(attitude, quat_from_rotation_vector(dt * rate))
+        return View(position + dt * velocity, velocity, quat_normalize(attitude), rate).numbers()
 
     def observe(self, params, state, action, observation):
         return observation["state"]

@@ -13,6 +13,7 @@ import numpy as np
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate
 from astrojax.attitude import quat_from_rotation_vector as quat_exp
 from astrojax.attitude import quat_to_rotation_vector as quat_log
+from owm_envs.view import VIEW_SLICES, View
 
 MASS = 12_000.0
 INERTIA = (80_000.0, 80_000.0, 50_000.0)
@@ -27,7 +28,7 @@ def derivative(view, action, orbital):
     """Return the time derivative of the view under body force and torque; `orbital` scales the mean motion."""
     n = MEAN_MOTION * orbital
     inertia = jnp.asarray(INERTIA, view.dtype)
-    r, v, q, w = view[:3], view[3:6], view[6:10], view[10:]
+    r, v, q, w = View.of(view)
     thrust = quat_rotate(q, action[:3]) / MASS
     coupling = jnp.stack([-n * n * r[0], 2 * n * v[2], 3 * n * n * r[2] - 2 * n * v[1]])
     frame = quat_rotate(quat_conjugate(q), jnp.asarray([1.0, 0.0, 0.0], view.dtype) * n)
@@ -41,14 +42,14 @@ def substep(view, action, orbital=1.0):
     """Advance 0.05 s by the midpoint rule under a held action."""
     middle = view + 0.5 * SUBSTEP * derivative(view, action, orbital)
     view = view + SUBSTEP * derivative(middle, action, orbital)
-    return view.at[6:10].divide(jnp.linalg.norm(view[6:10]))
+    return view.at[VIEW_SLICES.attitude].divide(jnp.linalg.norm(View.of(view).attitude))
 
 
 def measure(key, view, noise=1.0):
     """Return the view with cooperative noise, times `noise`."""
     eps = jax.random.normal(key, (4, 3), view.dtype) * (jnp.asarray(NOISE, view.dtype)[:, None] * noise / 3**0.5)
-    q = quat_multiply(view[6:10], quat_exp(eps[2]))
-    return jnp.concatenate([view[:3] + eps[0], view[3:6] + eps[1], q, view[10:] + eps[3]])
+    r, v, q, w = View.of(view)
+    return View(r + eps[0], v + eps[1], quat_multiply(q, quat_exp(eps[2])), w + eps[3]).numbers()
 
 
 def pointing(direction):
@@ -60,10 +61,11 @@ def pointing(direction):
 
 def pd(view, target, velocity, attitude):
     """Return the docking PD action towards a moving target pose."""
-    q, inertia = view[6:10], jnp.asarray(INERTIA, view.dtype)
-    force = quat_rotate(quat_conjugate(q), 16.0 * (target - view[:3]) + 880.0 * (velocity - view[3:6]))
+    r, v, q, w = View.of(view)
+    inertia = jnp.asarray(INERTIA, view.dtype)
+    force = quat_rotate(quat_conjugate(q), 16.0 * (target - r) + 880.0 * (velocity - v))
     error = quat_log(quat_multiply(quat_conjugate(q), attitude))
-    torque = (800.0 * error - 16_000.0 * view[10:]) * inertia / max(INERTIA)
+    torque = (800.0 * error - 16_000.0 * w) * inertia / max(INERTIA)
     return jnp.concatenate([jnp.clip(force, -FORCE, FORCE), jnp.clip(torque, -TORQUE, TORQUE)])
 
 
@@ -85,11 +87,12 @@ def fly(key, policy, steps, orbital=1.0, noise=1.0):
     k_start, k_goal, k_run = jax.random.split(key, 3)
     view = start(k_start)
     goal = jax.random.normal(k_goal, (3,), jnp.float32) * 15.0
-    axis = jnp.cross(view[:3], goal + jnp.asarray([1.0, 2.0, 3.0], jnp.float32))
+    position = View.of(view).position
+    axis = jnp.cross(position, goal + jnp.asarray([1.0, 2.0, 3.0], jnp.float32))
     axis = axis / jnp.linalg.norm(axis)
     radius = 80.0 + jnp.abs(goal[0])
     omega = 0.9 * jnp.sqrt(0.6 * FORCE / MASS / radius)
-    inward = view[:3] / jnp.linalg.norm(view[:3])
+    inward = position / jnp.linalg.norm(position)
 
     def step(carry, t):
         view, held = carry
@@ -97,7 +100,7 @@ def fly(key, policy, steps, orbital=1.0, noise=1.0):
         seen = measure(k_noise, view, noise)
         uniform = jax.random.uniform(k_uniform, (6,), jnp.float32, -1.0, 1.0) * limit
         held = jnp.where(t % 40 == 0, jax.random.uniform(k_held, (6,), jnp.float32, -1.0, 1.0), held)
-        dock = pd(seen, goal, jnp.zeros(3, jnp.float32), pointing(-view[:3] + 0.1))
+        dock = pd(seen, goal, jnp.zeros(3, jnp.float32), pointing(-View.of(view).position + 0.1))
         arc = omega * SUBSTEP * t
         out = quat_rotate(quat_exp(axis * arc), inward)
         orbit = pd(seen, radius * out, radius * omega * jnp.cross(axis, out), pointing(-out))

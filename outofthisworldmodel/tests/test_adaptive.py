@@ -18,6 +18,7 @@ from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.motion.response import VEHICLE
 from owm.motion.track import follow_windows
 from owm.scores.prediction import prediction_error
+from owm_envs.view import VIEW_SLICES
 
 STEPS, HISTORY = 150, 64
 KINDS = ("kinematic", "adaptive")
@@ -108,7 +109,7 @@ def test_noise_beyond_the_training_s_is_not_taken_for_the_vehicle(models):
     statistics = models["adaptive"].params.statistics
     windows = flights(9, 0.3, 0).windows(HISTORY, 64, seed=4)
     loud = np.random.default_rng(0).normal(size=(64, HISTORY, 3)) * 25.0 * np.sqrt(statistics.filter.noise[1])
-    louder = windows.observation["state"].at[:, :, 3:6].add(np.float32(loud))
+    louder = windows.observation["state"].at[:, :, VIEW_SLICES.velocity].add(np.float32(loud))
     windows = windows._replace(observation={"state": louder})
     mean = np.asarray(followed(models["adaptive"], windows).response.mean)[:, 15]  # after 4 s
     found = mean[:, :3, :3] / statistics.filter.response[:3, :3]

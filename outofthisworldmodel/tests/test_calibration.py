@@ -14,6 +14,7 @@ from owm.motion.kinematics import displaced
 from owm.report.tables import calibration_table, error_table
 from owm.scores.calibration import LEVELS, calibration, central_coverage, crps, score_samples
 from owm.scores.prediction import prediction_error
+from owm_envs.view import VIEW_SIZE, VIEW_SLICES
 
 NORMAL_QUANTILE = {0.5: 0.674490, 0.9: 1.644854, 0.99: 2.575829}
 
@@ -57,7 +58,7 @@ def test_views_are_scored_by_their_errors_whatever_the_sign_of_q():
     errors = jnp.asarray(np.random.default_rng(2).normal(size=(400, 199, 12)) * sizes, jnp.float32)
     outcome = jnp.array([20.0, -80.0, 5.0, 0.1, 0.2, 0.0, 0.6, 0.0, 0.8, 0.0, 1e-3, 0.0, 2e-3], jnp.float32)
 
-    other_sign = jnp.ones(13, jnp.float32).at[6:10].set(-1.0)
+    other_sign = jnp.ones(VIEW_SIZE, jnp.float32).at[VIEW_SLICES.attitude].set(-1.0)
 
     def samples(errors):
         return jax.vmap(displaced, (None, 0))(outcome, errors) * other_sign

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from owm.data.windows import from_episodes, history_of
+from owm_envs.view import View
 
 
 def recording(steps, *, base=0.0, padded=False):
@@ -35,7 +36,7 @@ def test_a_padded_last_action_is_dropped():
 
 
 def test_quaternions_are_continuous():
-    q = from_episodes([recording(60)]).view[:, 6:10]
+    q = View.of(from_episodes([recording(60)]).view).attitude
     assert (np.sum(q[1:] * q[:-1], axis=1) > 0).all()
 
 

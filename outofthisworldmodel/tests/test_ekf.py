@@ -109,7 +109,7 @@ def test_noise_grows_with_range_and_float64_is_asked_for():
     views = np.stack([VIEW, VIEW * np.where(np.arange(13) < 3, 2.0, 1.0).astype(np.float32)])
     beliefs = jax.jit(jax.vmap(lambda view: ekf.init(ekf.params, view)))(views)
     near, far = np.sqrt(np.diagonal(beliefs.covariance, axis1=1, axis2=2))
-    np.testing.assert_allclose(near[0], 0.01 * np.linalg.norm(VIEW[:3]) / 3**0.5, rtol=1e-5)
+    np.testing.assert_allclose(near[0], 0.01 * np.linalg.norm(View.of(VIEW).position) / 3**0.5, rtol=1e-5)
     np.testing.assert_allclose(far / near, [2.0] * 3 + [1.0] * 9, rtol=1e-5)
     numerical = ErrorStateEKF(fidelity="iss-numerical")
     with pytest.raises(RuntimeError, match="64-bit"):

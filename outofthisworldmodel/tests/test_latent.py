@@ -20,6 +20,7 @@ from owm.motion.bilinear import COLUMNS, bilinear_inputs, fit_bilinear_map
 from owm.motion.kinematics import quaternion, rotation, view_error
 from owm.scores.prediction import prediction_error
 from owm.training.loss import draw, window_losses
+from owm_envs.view import VIEW_SLICES, View
 
 CONFIG = ModelConfig(stream="latent", width=16, heads=2, window=4, head_width=16, history_length=4)
 DEPTH = 5
@@ -61,8 +62,9 @@ def test_a_view_survives_its_encoding(untrained, episodes):
 
     error, tokens, decoded = there_and_back(views)
     assert float(jnp.abs(error).max()) < 2e-4
-    assert float((decoded[:, 6:10] @ views[0, 6:10]).min()) >= 0.0, "on the anchor's side of the sphere"
-    _, flipped, _ = there_and_back(views.at[:, 6:10].multiply(-1.0))
+    attitudes, first = View.of(decoded).attitude, View.of(views[0]).attitude
+    assert float((attitudes @ first).min()) >= 0.0, "on the anchor's side of the sphere"
+    _, flipped, _ = there_and_back(views.at[:, VIEW_SLICES.attitude].multiply(-1.0))
     np.testing.assert_allclose(flipped, tokens, atol=1e-5)
 
 

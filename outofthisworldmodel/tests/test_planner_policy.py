@@ -14,6 +14,7 @@ from owm.scores.prediction import prediction_error
 from owm_envs.config import load_config
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES
+from owm_envs.view import View
 
 ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
 STARTS = np.stack([view_at((3, -20, 4)), view_at((-8, -14, -6), np.float32([0.5, -0.866, 0, 0]))])
@@ -44,8 +45,9 @@ def fly(policy, views, decisions, bias=NO_BIAS):
 
 def miss(views):
     """Distance to the goal m, speed m/s, angle to the goal attitude rad."""
-    angle = 2 * np.arccos(np.minimum(1, np.abs(views[:, 6:10] @ GOAL[3:])))
-    return np.linalg.norm(views[:, :3] - GOAL[:3], axis=1), np.linalg.norm(views[:, 3:6], axis=1), angle
+    seen = View.of(views)
+    angle = 2 * np.arccos(np.minimum(1, np.abs(seen.attitude @ GOAL[3:])))
+    return np.linalg.norm(seen.position - GOAL[:3], axis=1), np.linalg.norm(seen.velocity, axis=1), angle
 
 
 @pytest.mark.parametrize(("bias", "latency"), [(NO_BIAS, 0), (BIAS, 0), (BIAS, 1)])
@@ -75,8 +77,8 @@ class BiasLearner:
         return params
 
     def learn(self, known, before, action, after):
-        miss = after - FreeBody().step(known, None, action, before)
-        return known + 0.5 * jnp.concatenate([miss[3:6], miss[10:]]) / FreeBody.dt
+        _, velocity, _, rate = View.of(after - FreeBody().step(known, None, action, before))
+        return known + 0.5 * jnp.concatenate([velocity, rate]) / FreeBody.dt
 
     def params(self, known):
         return known

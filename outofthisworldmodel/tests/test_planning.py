@@ -12,6 +12,7 @@ from owm.interface import roll_out
 from owm.planning import corrector, cost, effect, mppi, sampler, update
 from owm.planning.config import PlannerConfig
 from owm.planning.policy import replan_slot
+from owm_envs.view import View
 
 CONFIG = PlannerConfig()
 TUNING = CONFIG.tuning(LIMIT)
@@ -47,7 +48,7 @@ def goal():
 
 def _cost(offset, velocity=(0, 0, 0), kind="geodesic"):
     view = view_at(offset)
-    view[3:6] = velocity
+    View.of(view).velocity[:] = velocity
     charged, gap = step_cost(kind, TUNING.weights, goal(), view, np.zeros(6, np.float32))
     return float(charged), float(gap)
 
@@ -93,13 +94,14 @@ def test_costs_keep_their_numbers(kind):
 def test_plans_keep_their_numbers(kind, latency):
     shape = PlannerConfig(objective=kind, latency=latency).shape
     view = view_at((2, -15, 3))
-    view[3:6] = [0.3, 0.1, -0.2]
+    View.of(view).velocity[:] = [0.3, 0.1, -0.2]
     state = jax.device_get(mppi.init_planner(shape))
     for count in range(2):
         wrenches, state = replan(view, 5, BIAS, shape=shape, state=state, slot=1, count=count)
         state = jax.device_get(state)
         view = state.expected + np.float32(0.01)
-        view[6:10] /= np.linalg.norm(view[6:10])
+        attitude = View.of(view).attitude
+        attitude /= np.linalg.norm(attitude)
     # A sum in another order moves a plan by far more than itself: its softmax is steep.
     np.testing.assert_allclose(wrenches[:2, :4], PINNED_PLANS[kind, latency], rtol=1e-4)
 
@@ -108,7 +110,7 @@ def test_plans_keep_their_numbers(kind, latency):
 def test_every_term_has_a_weight_and_is_charged_by_it(kind):
     """The step cost is linear in each weight, and each term stands in it once."""
     view, efforts = some_steps()[0][0], np.full(6, 0.5, np.float32)
-    view[:3] = view_at((21.5, 0, 0))[:3]  # so near the box that the margin counts
+    View.of(view).position[:] = View.of(view_at((21.5, 0, 0))).position  # so near the box that the margin counts
     weights = TUNING.weights
     whole, gap = step_cost(kind, weights, goal(), view, efforts)
     assert gap < weights.margin
@@ -210,9 +212,9 @@ def test_the_coasting_wrench_cancels_a_steady_acceleration():
     flown = flown_candidates()
     view = flown[1]
     wrench = TUNING.limit * effect.coasting_wrench(effect.effect_of(*flown))
-    still = move(BIAS, view[:1], wrench[None])[0]
-    np.testing.assert_allclose(still[3:6], view[0, 3:6], atol=2e-5)
-    np.testing.assert_allclose(still[10:], view[0, 10:], atol=1e-7)
+    still, before = View.of(move(BIAS, view[:1], wrench[None])[0]), View.of(view[0])
+    np.testing.assert_allclose(still.velocity, before.velocity, atol=2e-5)
+    np.testing.assert_allclose(still.rate, before.rate, atol=1e-7)
     unmoved = effect.effect_of(flown[0], view, view, 2.0)
     np.testing.assert_array_equal(effect.coasting_wrench(unmoved), 0.0)
     assert effect.authority(unmoved) == np.inf
@@ -254,9 +256,9 @@ def test_warm_start_is_the_rest_of_the_plan_and_the_expectation_is_the_models():
     np.testing.assert_allclose(state.plan[-8:], 0.0, atol=1e-3)
     assert np.abs(np.asarray(state.plan[:-8])).max() > 0.01
     predicted = roll_out(FreeBody(), NO_BIAS, view, wrenches)[-1]
-    error = np.abs(np.asarray(state.expected - predicted))
+    error = View.of(np.abs(np.asarray(state.expected - predicted)))
     # Averaged over candidates, not rolled out: apart by less than cooperative noise (0.05 m, 0.002 m/s).
-    assert error[:3].max() < 5e-4 and error[3:6].max() < 5e-4 and error[10:].max() < 1e-6
+    assert error.position.max() < 5e-4 and error.velocity.max() < 5e-4 and error.rate.max() < 1e-6
 
 
 def test_replan_does_not_compile_again_for_other_numbers():

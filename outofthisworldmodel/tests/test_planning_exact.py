@@ -10,6 +10,7 @@ from owm.interface import History, roll_out
 from owm_envs.config import load_config
 from owm_envs.config.params import params_from_config
 from owm_envs.dynamics import DYNAMICS
+from owm_envs.view import View
 
 VIEW = np.array([60.0, -90.0, 40.0, 0.5, 2.0, -1.0, 0.6, 0.0, 0.8, 0.0, 0.01, -0.02, 0.005])
 WRENCHES = np.random.default_rng(0).uniform(-1, 1, (64, 6)) * np.array([1600.0] * 3 + [2000.0] * 3)
@@ -44,13 +45,13 @@ def test_follows_the_environment_of_its_fidelity(fidelity):
         def predict(params, view, wrenches):
             return roll_out(model, params, model.encode(params, history_at(view)), wrenches)
 
-        expected = np.asarray(truth(params, view, wrenches))
-        predicted = np.asarray(predict(model.params, view, wrenches))
-    assert np.abs(predicted[:, :3] - expected[:, :3]).max() < 0.01
-    assert np.abs(predicted[:, 3:6] - expected[:, 3:6]).max() < 1e-3
-    turn = 2 * np.arccos(np.minimum(1, np.abs(np.sum(predicted[:, 6:10] * expected[:, 6:10], axis=1))))
+        expected = View.of(np.asarray(truth(params, view, wrenches)))
+        predicted = View.of(np.asarray(predict(model.params, view, wrenches)))
+    assert np.abs(predicted.position - expected.position).max() < 0.01
+    assert np.abs(predicted.velocity - expected.velocity).max() < 1e-3
+    turn = 2 * np.arccos(np.minimum(1, np.abs(np.sum(predicted.attitude * expected.attitude, axis=1))))
     assert turn.max() < 2e-3 if model.precision == "float32" else turn.max() < 1e-4
-    assert np.abs(predicted[:, 10:] - expected[:, 10:]).max() < 1e-5
+    assert np.abs(predicted.rate - expected.rate).max() < 1e-5
 
 
 def test_observing_starts_again_from_the_measurement_one_step_later():

@@ -19,6 +19,7 @@ from owm.planning.mpc import beyond, clohessy_wiltshire, solve, tracking
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy
 from owm_envs.station import goal_poses, hull_boxes
+from owm_envs.view import VIEW_SLICES, View
 
 LIMIT = (1600.0,) * 3 + (2000.0,) * 3
 NOMINAL = np.diag(0.25 / np.array([12_000.0] * 3 + [80_000.0, 80_000.0, 50_000.0]))
@@ -55,9 +56,10 @@ def test_online_least_squares_finds_another_chaser_and_keeps_what_it_is_not_show
             view, before, known = carry
             key, wrench, change = given
             # Torques are measured but do not turn it, so that the body axes stay those of the changes.
-            view = jnp.concatenate([view[:3], view[3:6] + change[:3], view[6:10], change[3:]])
+            position, velocity, attitude, _ = View.of(view)
+            view = View(position, velocity + change[:3], attitude, change[3:]).numbers()
             after = synthetic.measure(key, view)
-            return (view, after.at[10:].set(0.0), learner.learn(known, before, wrench, after)), None
+            return (view, after.at[VIEW_SLICES.rate].set(0.0), learner.learn(known, before, wrench, after)), None
 
         view = jnp.asarray([0, -30, 5, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], jnp.float32)
         keys = jax.random.split(jax.random.key(1), len(held))

@@ -24,6 +24,7 @@ from owm.model.world_model import RENAMED, LearnedWorldModel, Network, Params
 from owm.motion.kinematics import advance, increments, motion_error, multiply, rotation, to_motion, to_view, view_error
 from owm.scores.prediction import prediction_error
 from owm_envs.files import FolderTaken
+from owm_envs.view import VIEW_SLICES, View
 
 CONFIG = ModelConfig(width=16, heads=2, window=5, head_width=16)
 DEPTH = 10
@@ -181,12 +182,13 @@ def test_observing_equals_encoding_the_longer_history(model, window, encode, ste
 
 def test_sign_of_the_quaternion_does_not_matter(model, window, rolled, errors):
     observation, action = window
-    flipped = observation.at[:, 6:10].multiply(-1.0)
+    flipped = observation.at[:, VIEW_SLICES.attitude].multiply(-1.0)
     a, b = (rolled(model.params, history_of(o, action, 8, 8), action[7:]) for o in (observation, flipped))
     assert float(jnp.abs(errors(a, b)).max()) < 1e-5
-    np.testing.assert_allclose(a[:, 6:10], -b[:, 6:10], atol=1e-6)
+    q, other = View.of(a).attitude, View.of(b).attitude
+    np.testing.assert_allclose(q, -other, atol=1e-6)
     # Continuous: no prediction jumps to the other side of the sphere.
-    q = jnp.concatenate([observation[7:8, 6:10], a[:, 6:10]])
+    q = jnp.concatenate([View.of(observation[7:8]).attitude, q])
     assert float(jnp.sum(q[1:] * q[:-1], axis=1).min()) > 0.9
 
 
@@ -214,10 +216,11 @@ def test_untrained_model_is_its_least_squares_map_from_the_filtered_start(
 def test_gradient_through_a_rollout_is_finite(model, window):
     """At rest and without thrust, where norms and quaternion series have their corners."""
     observation, action = window
-    history = history_of(observation.at[:, 10:].set(0.0), action, 8, 8)
+    history = history_of(observation.at[:, VIEW_SLICES.rate].set(0.0), action, 8, 8)
 
     def cost(actions):
-        return jnp.sum(roll_out(model, model.params, model.encode(model.params, history), actions)[-1, :3])
+        views = roll_out(model, model.params, model.encode(model.params, history), actions)
+        return jnp.sum(View.of(views[-1]).position)
 
     gradient = jax.jit(jax.grad(cost))(jnp.zeros((4, 6), jnp.float32))
     assert bool(jnp.isfinite(gradient).all()) and float(jnp.abs(gradient).max()) > 0
@@ -236,7 +239,7 @@ def test_measurements_of_another_dtype_are_taken(model, window):
 
 
 def test_kinematics_invert_and_match_fine_integration():
-    view = synthetic.start(jax.random.key(4)).at[10:].set(jnp.asarray([0.05, -0.04, 0.06]))
+    view = synthetic.start(jax.random.key(4)).at[VIEW_SLICES.rate].set(jnp.asarray([0.05, -0.04, 0.06]))
     action = jnp.asarray([900.0, -500.0, 300.0, 800.0, -600.0, 400.0])
     after = synthetic.replay(view, action[None], 1)[1]
 
@@ -288,14 +291,9 @@ def test_action_only_least_squares_moves_with_the_world_frame(episodes, window, 
     shift = jnp.asarray([30.0, -50.0, 20.0])
 
     def move(view):
-        return jnp.concatenate(
-            [
-                quat_rotate(turn, view[:3]) + shift,
-                quat_rotate(turn, view[3:6]),
-                quat_multiply(turn, view[6:10]),
-                view[10:],
-            ]
-        )
+        position, velocity, attitude, rate = View.of(view)
+        position, velocity = quat_rotate(turn, position) + shift, quat_rotate(turn, velocity)
+        return View(position, velocity, quat_multiply(turn, attitude), rate).numbers()
 
     @jax.jit
     def run(observation):

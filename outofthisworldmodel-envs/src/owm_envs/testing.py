@@ -18,11 +18,11 @@ from owm_envs.dynamics import Dynamics, PhysicalState
 from owm_envs.env import DockingEnv, docking_env
 from owm_envs.station import port_indices
 from owm_envs.task.events import Outcome
+from owm_envs.view import VIEW_SIZE, View
 
 _STEPS = 20
 _TOLERANCE = {"float64": 1e-6, "float32": 1e-3}
 """On every number of a view, SI units: what rounding may do to it in a few steps."""
-_PARTS = {"position": slice(0, 3), "velocity": slice(3, 6), "attitude": slice(6, 10), "rate": slice(10, 13)}
 
 
 class _Case(NamedTuple):
@@ -243,7 +243,7 @@ def _check_types(env: DockingEnv) -> None:
                 f"{old.dtype} and {new.dtype}",
             )
         seen = _abstract("relative_state", dynamics.relative_state, params, state)
-        _expect(seen.shape == (13,), "types", "relative_state to be of shape (13,)", seen.shape)
+        _expect(seen.shape == (VIEW_SIZE,), "types", f"relative_state to be of shape {(VIEW_SIZE,)}", seen.shape)
         _expect(
             seen.dtype == dtype, "dtype follows the inputs", f"{np.dtype(dtype)} from relative_state", f"{seen.dtype}"
         )
@@ -276,12 +276,11 @@ def _check_traces_and_jit(trial: _Trial) -> None:
 
 def _expect_alike(came: Array, expected: Array, tolerance: float, check: str, where: str) -> None:
     """Two views (..., 13) within the tolerance, part by part, whatever the sign of their quaternions."""
-    came, expected = np.asarray(came), np.asarray(expected)
-    sign = quat_sign(came[..., 6:10], expected[..., 6:10])[..., None]
-    came = np.concatenate([came[..., :6], came[..., 6:10] * sign, came[..., 10:]], axis=-1)
-    for part, numbers in _PARTS.items():
-        error = np.max(np.abs(came[..., numbers] - expected[..., numbers]))
-        _expect(error <= tolerance, check, f"{part} {expected[..., numbers]}{where}", came[..., numbers])
+    came, expected = View.of(np.asarray(came)), View.of(np.asarray(expected))
+    sign = np.asarray(quat_sign(came.attitude, expected.attitude))[..., None]
+    came = came._replace(attitude=came.attitude * sign)
+    for part, ours, theirs in zip(View._fields, came, expected):
+        _expect(np.max(np.abs(ours - theirs)) <= tolerance, check, f"{part} {theirs}{where}", ours)
 
 
 def _check_init(trial: _Trial) -> None:
@@ -333,7 +332,7 @@ def _check_clocks(trial: _Trial, case: _Case, states: list[PhysicalState]) -> No
 
 
 def _check_attitude(trial: _Trial, case: _Case, views: np.ndarray) -> None:
-    lengths = np.linalg.norm(views[:, 6:10], axis=1)
+    lengths = np.linalg.norm(View.of(views).attitude, axis=1)
     worst = lengths[np.argmax(np.abs(lengths - 1))]
     unit = abs(worst - 1) <= trial.tolerance
     _expect(unit, "unit quaternion", f"an attitude of length 1 {case.name}", f"{worst:.9f}")
@@ -373,12 +372,12 @@ def _check_kinematics(trial: _Trial) -> None:
 
 def _motion(trial: _Trial, case: _Case, dt: float) -> _Motion:
     state = trial.init(trial.params, trial.epoch, case.view)
-    before = trial.view(trial.params, state)
-    after = trial.view(trial.params, trial.step(trial.params, state, case.wrench, jnp.asarray(dt, before.dtype)))
-    moved, velocity = (after[:3] - before[:3]) / dt, (before[3:6] + after[3:6]) / 2
-    rate = (before[10:] + after[10:]) / 2
-    turned = quat_multiply(before[6:10], quat_from_rotation_vector(rate * dt))
-    apart = quat_angle(turned, after[6:10]) / dt
+    later = trial.step(trial.params, state, case.wrench, jnp.asarray(dt, case.view.dtype))
+    before, after = (View.of(trial.view(trial.params, at)) for at in (state, later))
+    moved, velocity = (after.position - before.position) / dt, (before.velocity + after.velocity) / 2
+    rate = (before.rate + after.rate) / 2
+    turned = quat_multiply(before.attitude, quat_from_rotation_vector(rate * dt))
+    apart = quat_angle(turned, after.attitude) / dt
     return _Motion(moved, velocity, rate, float(jnp.linalg.norm(moved - velocity)), float(apart))
 
 

@@ -32,7 +32,7 @@ class View(NamedTuple):
     @classmethod
     def of(cls, numbers: Float[Array, "... 13"]) -> "View":
         """The parts of 13 numbers; NumPy in, NumPy out."""
-        return cls(numbers[..., :3], numbers[..., 3:6], numbers[..., 6:10], numbers[..., 10:13])
+        return cls(*(numbers[..., part] for part in VIEW_SLICES))
 
     def numbers(self) -> Float[Array, "... 13"]:
         """The 13 numbers; NumPy in, NumPy out."""
@@ -41,3 +41,7 @@ class View(NamedTuple):
         import jax.numpy as jnp
 
         return jnp.concatenate(self, axis=-1)
+
+
+VIEW_SLICES = View(slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13))
+"""Where each part lies, to change it in place: `view.at[VIEW_SLICES.attitude]`."""

@@ -21,6 +21,7 @@ from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.sensors import Sensor
+from owm_envs.view import View
 from owm_envs.words import checked_seed, unknown
 
 RENDER_MODES = ("rgb_array",)
@@ -95,13 +96,13 @@ class _Shell:
     def _new_paths(self, info, slots) -> None:
         if self.render_mode is not None:
             for slot in slots:
-                self._paths[slot] = [info["true_state"][slot, :3].copy()]
+                self._paths[slot] = [View.of(info["true_state"][slot]).position.copy()]
 
     def _extend_paths(self, info, restarted) -> None:
         if self.render_mode is not None:
             for slot, path in enumerate(self._paths):
                 if not restarted[slot]:
-                    path.append(info["true_state"][slot, :3].copy())
+                    path.append(View.of(info["true_state"][slot]).position.copy())
             self._new_paths(info, np.flatnonzero(restarted))
 
     def _picture(self, slot: int) -> np.ndarray:
@@ -111,13 +112,13 @@ class _Shell:
             raise gymnasium.error.ResetNeeded("call reset() before render()")
         host = self._program.to_host(self._state)
         view, port = host.view[slot], int(host.port[slot])
-        goal = goal_poses()[port]
+        goal, seen = goal_poses()[port], View.of(view)
         seconds = float(host.physics.elapsed[slot])
         lines = [
             f"{self.docking_env.name}   {PORT_NAMES[port]}",
             f"t {seconds:6.1f} s   {OUTCOME_NAMES[int(host.outcome[slot])]}",
-            f"to goal {np.linalg.norm(view[:3] - goal[:3]):7.2f} m",
-            f"speed {np.linalg.norm(view[3:6]):6.3f} m/s",
+            f"to goal {np.linalg.norm(seen.position - goal[:3]):7.2f} m",
+            f"speed {np.linalg.norm(seen.velocity):6.3f} m/s",
             f"clearance {float(host.clearance.least[slot]):6.2f} m (least)",
         ]
         boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])

@@ -23,6 +23,7 @@ from owm_envs.flags import own_flags
 from owm_envs.station import goal_poses, port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import Sensor
+from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import checked_seed, unknown
 
 try:
@@ -154,7 +155,7 @@ class DockingParallelEnv(ParallelEnv):
         self._observation_spaces = {
             agent: space_of(self._program.env.observation_parts) for agent in self.possible_agents
         }
-        self.state_space = spaces.Box(-np.inf, np.inf, (26 * num_chasers,), np.float32)
+        self.state_space = spaces.Box(-np.inf, np.inf, ((VIEW_SIZE + 12 + 1) * num_chasers,), np.float32)
         self._state: FleetState | None = None
         self._info: dict[str, np.ndarray] = {}
         self._paths: list[list[np.ndarray]] = []
@@ -195,7 +196,7 @@ class DockingParallelEnv(ParallelEnv):
             key = seed_keys([checked_seed(seed)])[0]
         self._state, observations, self._info = self._program.reset(key, ports)
         self.agents = list(self.possible_agents)
-        self._paths = [[position] for position in self._info["true_state"][:, :3]]
+        self._paths = [[position] for position in View.of(self._info["true_state"]).position]
         return self._by_agent(observations, self.agents), self._infos(self.agents)
 
     def step(self, actions: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], ...]:
@@ -210,9 +211,10 @@ class DockingParallelEnv(ParallelEnv):
         if not acting:
             return {}, {}, {}, {}, {}
         self._state, result, self._info = self._program.step(self._state, stacked)
-        for index, path in enumerate(self._paths):
-            if self.possible_agents[index] in acting:
-                path.append(self._info["true_state"][index, :3])
+        positions = View.of(self._info["true_state"]).position
+        for agent, path, position in zip(self.possible_agents, self._paths, positions):
+            if agent in acting:
+                path.append(position)
         rewards, terminated, truncated = (
             {agent: values[self.possible_agents.index(agent)].item() for agent in acting}
             for values in (result.reward, result.terminated, result.truncated)

@@ -10,6 +10,7 @@ from astrojax.attitude import accel_euler, quat_derivative, quat_normalize, quat
 from astrojax.integrators import rk4_step
 from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.view import View
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,8 @@ class FreeFlyer:
 
     def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """State with the relative view `view` (13,) at `epoch` (2,)."""
-        chaser = VehicleState(view[:6], view[6:10], view[10:13])
+        _, _, attitude, rate = View.of(view)
+        chaser = VehicleState(view[:6], attitude, rate)
         return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 
     def step(

@@ -23,6 +23,7 @@ from astrojax.elements import mean_motion
 from astrojax.integrators import rk4_step
 from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.view import View
 
 
 def station_rate(params: Params) -> Float[Array, "3"]:
@@ -39,8 +40,8 @@ class HillClohessyWiltshire:
 
     def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """State with the relative view `view` (13,) at `epoch` (2,)."""
-        attitude = view[6:10]
-        rate = view[10:13] + quat_rotate(quat_conjugate(attitude), station_rate(params))
+        _, _, attitude, rate = View.of(view)
+        rate = rate + quat_rotate(quat_conjugate(attitude), station_rate(params))
         chaser = VehicleState(view[:6], attitude, rate)
         return PhysicalState(epoch, jnp.zeros((), view.dtype), view[:0], chaser)
 

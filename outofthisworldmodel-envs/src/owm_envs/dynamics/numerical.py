@@ -39,6 +39,7 @@ from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
 from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.view import View
 
 RTN_TO_STATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Station axes x = N, y = -T, z = R."""
@@ -83,10 +84,11 @@ class NumericalOrbits:
         chief = keplerian_to_cartesian(elements, GM_EARTH)
         frame = self._frame(chief)
         to_eci = frame.rotation.T
-        position = to_eci @ view[:3]
-        velocity = to_eci @ (view[3:6] + jnp.cross(frame.rate, view[:3]))
-        attitude = quat_multiply(rotation_to_quat(to_eci), view[6:10])
-        rate = view[10:13] + quat_rotate(quat_conjugate(view[6:10]), frame.rate)
+        seen = View.of(view)
+        position = to_eci @ seen.position
+        velocity = to_eci @ (seen.velocity + jnp.cross(frame.rate, seen.position))
+        attitude = quat_multiply(rotation_to_quat(to_eci), seen.attitude)
+        rate = seen.rate + quat_rotate(quat_conjugate(seen.attitude), frame.rate)
         chaser = VehicleState(jnp.concatenate([position, velocity]), attitude, rate)
         elapsed = jnp.zeros((), view.dtype)
         lost = None
@@ -140,4 +142,4 @@ class NumericalOrbits:
         velocity = frame.rotation @ chaser.orbit[3:] - jnp.cross(frame.rate, position)
         attitude = quat_multiply(rotation_to_quat(frame.rotation), chaser.attitude)
         rate = chaser.rate - quat_rotate(quat_conjugate(attitude), frame.rate)
-        return jnp.concatenate([position, velocity, attitude, rate])
+        return View(position, velocity, attitude, rate).numbers()

@@ -23,7 +23,7 @@ from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.selected import apply_where
 from owm_envs.task.sensors import STATE, Sensor, Truth, blank, part_shapes, require_sensors, sense
-from owm_envs.view import View
+from owm_envs.view import VIEW_SLICES, View
 
 _BEYOND_REASON = 1e9
 """No number of a relative view comes near it (SI units), and float32 still squares it."""
@@ -188,7 +188,7 @@ class DockingEnv:
         bias = None
         if self.structure.biased:
             bias = start_bias(start.view.dtype, key=self._bias_key(noise_key, 0))
-        clearance = clearance_at(start.view[:3], params.chaser.radius, self._boxes(params))
+        clearance = clearance_at(View.of(start.view).position, params.chaser.radius, self._boxes(params))
         error = goal_error(start.view, params.goals[start.port])
         return EnvState(
             physics=physics,
@@ -320,10 +320,12 @@ class DockingEnv:
         physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
-        view = stored(view.at[6:10].multiply(quat_sign(view[6:10], state.view[6:10])))
+        before, after = View.of(state.view), View.of(view)
+        view = stored(view.at[VIEW_SLICES.attitude].multiply(quat_sign(after.attitude, before.attitude)))
 
+        position = View.of(view).position
         clearance, touches = advance_clearance(
-            state.clearance, state.view[:3], view[:3], params.chaser.radius, self._boxes(params)
+            state.clearance, before.position, position, params.chaser.radius, self._boxes(params)
         )
         error = stored(goal_error(view, params.goals[state.port]))
         norms = stored(error_norms(error))
@@ -332,7 +334,7 @@ class DockingEnv:
         closest = jax.tree.map(lambda new, old: jnp.where(nearer, new, old), approach, state.closest)
 
         docked = is_docked(norms, params.docking)
-        escaped = summed(view[:3] ** 2) > params.escape_radius**2
+        escaped = summed(position**2) > params.escape_radius**2
         crashed = touches & self.structure.collision_terminates
         outcome = jnp.select(
             [crashed, docked, escaped], [Outcome.COLLIDED, Outcome.DOCKED, Outcome.ESCAPED], Outcome.RUNNING

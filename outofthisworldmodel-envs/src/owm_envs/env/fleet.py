@@ -20,6 +20,7 @@ from owm_envs.task.observation import VIEW_SCALE, Observation, ObservationLayout
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.sensors import STATE
 from owm_envs.task.separation import swept_separation
+from owm_envs.view import View
 
 START_CANDIDATES = 16
 """Sets of starts drawn; the first whose chasers are far enough apart is taken."""
@@ -210,7 +211,7 @@ class FleetEnv:
     def _separations(self, params, before, after):
         """(N, N) gaps between the swept spheres of views (N, 13); infinite to oneself."""
         pairwise = jax.vmap(jax.vmap(swept_separation, (None, None, 0, 0)), (0, 0, None, None))
-        start, end = before[:, :3], after[:, :3]
+        start, end = View.of(before).position, View.of(after).position
         apart = pairwise(start, end, start, end) - 2 * params.chaser.radius
         return jnp.where(jnp.eye(self.num_chasers, dtype=bool), jnp.inf, apart)
 
@@ -218,8 +219,8 @@ class FleetEnv:
         if self.layout.num_others == 0:
             return own
         running = chasers.outcome == Outcome.RUNNING
-        moving = jnp.where(running[:, None], chasers.view[:, 3:6], 0)
-        seen = jnp.concatenate([chasers.view[:, :3], moving], axis=1)
+        position, velocity, _, _ = View.of(chasers.view)
+        seen = jnp.concatenate([position, jnp.where(running[:, None], velocity, 0)], axis=1)
         others = np.array([[j for j in range(self.num_chasers) if j != i] for i in range(self.num_chasers)])
 
         def look(noise_key, count, relative):
@@ -260,7 +261,7 @@ def _separate_starts(params: Params, episode_keys: Key[Array, "N"], ports: Int[A
     sets = jax.vmap(jax.vmap(lambda key, port: sample_start(params, key=key, port=port)), (0, None))(
         jnp.concatenate([keys[None], again]), ports
     )
-    position = sets.view[..., :3]
+    position = View.of(sets.view).position
     squared = jnp.sum((position[:, :, None] - position[:, None]) ** 2, axis=-1)
     oneself = jnp.eye(ports.size, dtype=bool)
     nearest = jnp.min(jnp.where(oneself[None], jnp.inf, squared), axis=(1, 2))

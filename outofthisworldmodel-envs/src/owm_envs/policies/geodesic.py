@@ -9,9 +9,10 @@ from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
 from owm_envs.field import GeodesicField, clearance, cost_to_go, field_rows, load_field
-from owm_envs.policies.base import Vehicle, View, attitude_error, goal_of, limit_norm, read_view
+from owm_envs.policies.base import Vehicle, attitude_error, goal_of, limit_norm, read_view
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.view import View
 
 _STATIC = {"static": True}
 

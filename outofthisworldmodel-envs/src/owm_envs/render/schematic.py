@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from owm_envs.station import PARTS, PORTS, hull_boxes, nearest_part
+from owm_envs.view import VIEW_SIZE, View
 
 _BACKGROUND = (13, 17, 28)
 _PANEL = (19, 25, 40)
@@ -280,7 +281,8 @@ def _draw_chaser(image, state: np.ndarray, view: _View, buffer: np.ndarray, colo
     import cv2
 
     x, y, w, h = view.rectangle
-    pixel, depth = view.project(state[:3])
+    position, _, attitude, _ = View.of(state)
+    pixel, depth = view.project(position)
     margin = 12.0 * unit
     inside = np.clip(pixel, (x + margin, y + margin), (x + w - margin, y + h - margin))
     if np.any(inside != pixel):  # beyond the view: a mark at its edge
@@ -291,8 +293,8 @@ def _draw_chaser(image, state: np.ndarray, view: _View, buffer: np.ndarray, colo
         return
     hidden = bool(_hidden(pixel, depth, buffer))
     radius = max(_SPHERE_RADIUS * view.scale, 3.6 * unit)
-    nose = _rotate(state[6:10], (0.0, 0.0, 1.0))
-    tip, _ = view.project(state[:3] + nose * 2.6 * radius / view.scale)
+    nose = _rotate(attitude, (0.0, 0.0, 1.0))
+    tip, _ = view.project(position + nose * 2.6 * radius / view.scale)
     at = lambda p: tuple(np.round(p * 16.0).astype(int).tolist())
     body = _faded(_CHASER, 0.35) if hidden else _CHASER
     cv2.circle(image, at(pixel), round(radius * 16), _faded(body, 0.75), -1, cv2.LINE_AA, 4)
@@ -328,8 +330,8 @@ def _compose(boxes, goals, vehicles: Sequence[Vehicle], size: tuple[int, int]) -
     if boxes.ndim != 3 or boxes.shape[1:] != (2, 3) or goals.shape[1:] != (7,):
         raise ValueError(f"boxes must have shape (N, 2, 3) and goals (P, 7); got {boxes.shape} and {goals.shape}")
     for state, path, port, *_ in vehicles:
-        if state.shape != (13,) or path.reshape(-1, 3).shape != (len(path), 3):
-            raise ValueError(f"state must have shape (13,) and path (T, 3); got {state.shape} and {path.shape}")
+        if state.shape != (VIEW_SIZE,) or path.reshape(-1, 3).shape != (len(path), 3):
+            raise ValueError(f"state must have shape ({VIEW_SIZE},), path (T, 3); got {state.shape} and {path.shape}")
         if not 0 <= port < len(goals):
             raise ValueError(f"active_port must be from 0 to {len(goals) - 1}; got {port}")
     if size[0] < 160 or size[1] < 120:
@@ -340,8 +342,9 @@ def _compose(boxes, goals, vehicles: Sequence[Vehicle], size: tuple[int, int]) -
     aspect = max(0.7 * size[0] / size[1], 1.2)
     drawn = [vehicle for vehicle in vehicles if np.isfinite(vehicle.state).all()]
     for vehicle in drawn:
-        main_zoom = _zoom(vehicle.state[:3], (_ISOMETRIC,), aspect, main_zoom)
-        inset_zoom = _zoom(vehicle.state[:3], (_TOP, _SIDE), _INSET[0] * size[0] / (_INSET[1] * size[1]), inset_zoom)
+        position = View.of(vehicle.state).position
+        main_zoom = _zoom(position, (_ISOMETRIC,), aspect, main_zoom)
+        inset_zoom = _zoom(position, (_TOP, _SIDE), _INSET[0] * size[0] / (_INSET[1] * size[1]), inset_zoom)
     scene = _scene(hull, size, main_zoom, inset_zoom)
     image = scene.image.copy()
     known = len(goals) == len(PORTS)

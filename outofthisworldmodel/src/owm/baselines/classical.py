@@ -13,9 +13,10 @@ from astrojax.constants import GM_EARTH
 from owm.baselines.ekf import Belief, ErrorStateEKF
 from owm.planning.mpc import Corridor, Tracking, solve, tracking
 from owm_envs.env import DockingEnv
-from owm_envs.policies.base import Vehicle, View, attitude_error, goal_of
+from owm_envs.policies.base import Vehicle, attitude_error, goal_of
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.view import VIEW_SIZE, View
 
 CRUISE_RADIUS = 85.0
 """m from the station origin: a sphere about the whole hull with room for a chaser and its turns."""
@@ -107,7 +108,7 @@ class ClassicalPolicy:
         return ClassicalState(
             port=jnp.asarray(port, jnp.int32),
             started=jnp.zeros((), bool),
-            belief=Belief(jnp.zeros(13, jnp.float32), jnp.eye(12, dtype=jnp.float32)),
+            belief=Belief(jnp.zeros(VIEW_SIZE, jnp.float32), jnp.eye(12, dtype=jnp.float32)),
             wrench=jnp.zeros(6, jnp.float32),
             accelerations=jnp.zeros((steps, 3), jnp.float32),
         )
@@ -120,7 +121,7 @@ class ClassicalPolicy:
         known = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), state.belief, first)
         followed = self.ekf.observe(self.params, known, state.wrench, measured)
         belief = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), followed, first)
-        view = View(belief.view[:3], belief.view[3:6], belief.view[6:10], belief.view[10:])
+        view = View.of(belief.view)
 
         goal, attitude = goal_of(state.port, view.position.dtype)
         accelerations = self.translate(view, corridor_of(goal, attitude), state.accelerations)

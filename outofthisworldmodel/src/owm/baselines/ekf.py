@@ -18,6 +18,7 @@ from owm.motion.kinematics import displaced, view_error
 from owm_envs.config import DockingConfig, Fidelity, load_config
 from owm_envs.config.params import NoiseParams, params_from_config
 from owm_envs.task.sensors import STATE
+from owm_envs.view import View
 
 HELD_COMMANDS = (5e-5, 5e-6, 2e-6, 1e-7)
 """Errors of a 0.25 s step whose command is held, per axis: position m, velocity m/s, attitude rad, rate rad/s; at least
@@ -176,7 +177,7 @@ class ErrorStateEKF:
     def _measured(self, params: FilterParams, view: Array) -> Float[Array, "12"]:
         """Standard deviation of a measurement's errors near a view, and of its rounding."""
         noise = jax.tree.map(jnp.asarray, params.noise)
-        position = noise.position + noise.position_per_range * jnp.linalg.norm(view[:3])
+        position = noise.position + noise.position_per_range * jnp.linalg.norm(View.of(view).position)
         white = jnp.stack([position, noise.velocity, noise.attitude, noise.rate])
         total = (white**2 + jnp.stack(noise.bias[:4]) ** 2) / 3
         return jnp.repeat(jnp.sqrt(total + jnp.asarray(_ROUNDING, total.dtype) ** 2), 3)

@@ -14,6 +14,7 @@ from owm_envs.config import FIDELITIES, DockingConfig, Fidelity, load_config
 from owm_envs.config.params import ChaserParams, ChiefParams, params_from_config
 from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState
 from owm_envs.task.sensors import STATE
+from owm_envs.view import View
 from owm_envs.words import unknown
 
 
@@ -115,7 +116,8 @@ class ExactDynamics:
                 "(PlannerPolicy does so by itself)"
             )
         view = jnp.asarray(view, dtype)
-        view = jnp.concatenate([view[:6], quat_normalize(view[6:10]), view[10:]])
+        _, _, attitude, rate = View.of(view)
+        view = jnp.concatenate([view[:6], quat_normalize(attitude), rate])
         return self.dynamics.init(_arrays(params), jnp.asarray(epoch, dtype), view)
 
 

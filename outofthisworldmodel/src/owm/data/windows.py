@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int, Shaped
 from astrojax.attitude import quat_sign
 from owm.interface import History
 from owm_envs.task.sensors import STATE
+from owm_envs.view import VIEW_SIZE, View
 
 STRIDE = 5
 """20 Hz frames in one model step of 0.25 s."""
@@ -159,9 +160,9 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
         act = np.asarray(episode.action)
         true = getattr(episode, "true_state", None)
         true = seen if true is None else np.asarray(true)
-        if seen.ndim != 2 or seen.shape[1] != 13 or true.shape != seen.shape:
+        if seen.ndim != 2 or seen.shape[1] != VIEW_SIZE or true.shape != seen.shape:
             raise ValueError(
-                f"episode {number}: the state part must be (T + 1, 13), got {seen.shape} with truth {true.shape}"
+                f"episode {number}: state part must be (T + 1, {VIEW_SIZE}), got {seen.shape} with truth {true.shape}"
             )
         act = act[: len(seen) - 1]
         if act.shape != (len(seen) - 1, 6):
@@ -203,11 +204,10 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
 
 def _continuous(views: np.ndarray) -> np.ndarray:
     """Flip quaternion signs so that neighbours along the first axis lie on the same side."""
-    q = views[:, 6:10]
+    view = View.of(views)
+    q = view.attitude
     sign = np.concatenate([[1.0], np.cumprod(quat_sign(q[1:], q[:-1]))])
-    views = views.copy()
-    views[:, 6:10] = q * sign[:, None]
-    return views
+    return view._replace(attitude=q * sign[:, None]).numbers()
 
 
 def history_of(

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_to_rotation_vector
+from owm_envs.view import View
 
 # The same algebra as `astrojax.attitude`, as contractions with constant tables: inside a differentiated scan over a
 # rollout the component-wise form has many times the operations, and compiling them took longer than training.
@@ -84,19 +85,21 @@ class Motion(NamedTuple):
 
 def pose(view: Float[Array, "13"]) -> Float[Array, "7"]:
     """Return position and quaternion of a view."""
-    return jnp.concatenate([view[:3], view[6:10]])
+    position, _, attitude, _ = View.of(view)
+    return jnp.concatenate([position, attitude])
 
 
 def to_motion(view: Float[Array, "13"], anchor: Float[Array, "13"] | Float[Array, "7"]) -> Motion:
     """Express a 13-number view in the body frame of an anchor: a pose, or another view."""
     anchor = anchor if anchor.shape[-1] == 7 else pose(anchor)
     turn = rotation(anchor[3:])
+    position, velocity, attitude, rate = View.of(view)
     return Motion(
         anchor=anchor,
-        position=apply_inverse(turn, view[:3] - anchor[:3]),
-        velocity=apply_inverse(turn, view[3:6]),
-        attitude=multiply(quat_conjugate(anchor[3:]), view[6:10]),
-        rate=view[10:],
+        position=apply_inverse(turn, position - anchor[:3]),
+        velocity=apply_inverse(turn, velocity),
+        attitude=multiply(quat_conjugate(anchor[3:]), attitude),
+        rate=rate,
     )
 
 
@@ -110,7 +113,7 @@ def to_view(motion: Motion) -> Float[Array, "13"]:
     """Return the 13-number view in the station frame, the inverse of `to_motion`."""
     position, velocity, _ = to_station(motion)
     attitude = multiply(motion.anchor[3:], motion.attitude)
-    return jnp.concatenate([position, velocity, attitude / jnp.linalg.norm(attitude), motion.rate])
+    return View(position, velocity, attitude / jnp.linalg.norm(attitude), motion.rate).numbers()
 
 
 def _half_turn(before: Float[Array, "3"], after: Float[Array, "3"], dt: float) -> Float[Array, "4"]:
@@ -157,15 +160,17 @@ def view_error(predicted: Float[Array, "13"], actual: Float[Array, "13"]) -> Flo
 
     The sign of either quaternion does not matter.
     """
-    attitude = quat_to_rotation_vector(multiply(quat_conjugate(actual[6:10]), predicted[6:10]))
-    return jnp.concatenate([predicted[:6] - actual[:6], attitude, predicted[10:] - actual[10:]])
+    guess, truth = View.of(predicted), View.of(actual)
+    attitude = quat_to_rotation_vector(multiply(quat_conjugate(truth.attitude), guess.attitude))
+    return jnp.concatenate([predicted[:6] - actual[:6], attitude, guess.rate - truth.rate])
 
 
 def displaced(view: Float[Array, "13"], error: Float[Array, "12"]) -> Float[Array, "13"]:
     """Return the view whose `view_error` to the given one is `error`."""
-    attitude = multiply(view[6:10], quat_from_rotation_vector(error[6:9]))
+    _, _, attitude, rate = View.of(view)
+    attitude = multiply(attitude, quat_from_rotation_vector(error[6:9]))
     attitude = attitude / jnp.linalg.norm(attitude)
-    return jnp.concatenate([view[:6] + error[:6], attitude, view[10:] + error[9:]])
+    return jnp.concatenate([view[:6] + error[:6], attitude, rate + error[9:]])
 
 
 def motion_error(predicted: Motion, actual: Motion) -> Float[Array, "4"]:

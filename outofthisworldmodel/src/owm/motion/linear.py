@@ -20,6 +20,7 @@ from owm.motion.kinematics import (
     to_motion,
     to_station,
 )
+from owm_envs.view import View
 
 FIT_ROWS = 200_000
 """Most transitions that a fit uses; more would not change a digit that matters."""
@@ -100,7 +101,7 @@ def _body_increments(before: Array, after: Array, dt: Array) -> tuple[Array, Arr
 
     def one(before: Array, after: Array) -> tuple[Array, Array]:
         first = to_motion(before, before)
-        return increments(first, to_motion(after, before), dt), rotation(before[6:10])
+        return increments(first, to_motion(after, before), dt), rotation(View.of(before).attitude)
 
     return jax.vmap(one)(before, after)
 
@@ -124,7 +125,7 @@ def fit_linear_map(episodes: Episodes, *, motion: bool = True) -> LinearMap:
     # Columns are scaled to order one so that the normal equations stay well conditioned.
     unit = np.maximum(np.abs(action).max(axis=0), 1e-9)
     inputs = np.concatenate([action / unit, np.ones((rows, 1))], axis=1)
-    products = np.asarray(jax.vmap(rate_products)(before[:, 10:], turn), np.float64)
+    products = np.asarray(jax.vmap(rate_products)(View.of(before).rate, turn), np.float64)
     size = np.maximum(np.abs(products).max(axis=0), 1e-12)
     where = np.maximum(np.abs(before[:, :6]).max(axis=0), 1e-9)
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply
+from owm_envs.view import View
 
 MEMORY = 8
 """Replans over which the noise is averaged."""
@@ -34,14 +35,15 @@ def no_correction(dtype: str = "float32") -> Correction:
 
 def apply(correction: Correction, view: Float[Array, "13"], elapsed: Float[Array, ""]) -> Float[Array, "13"]:
     """Add to a predicted view what the correction has grown to, `elapsed` seconds into the prediction."""
+    position, velocity, attitude, rate = View.of(view)
     half_square = 0.5 * elapsed * elapsed
-    turned = quat_multiply(view[6:10], quat_from_rotation_vector(half_square * correction.angular))
+    turned = quat_multiply(attitude, quat_from_rotation_vector(half_square * correction.angular))
     return jnp.concatenate(
         [
-            view[:3] + half_square * correction.acceleration + elapsed * correction.drift,
-            view[3:6] + elapsed * correction.acceleration,
+            position + half_square * correction.acceleration + elapsed * correction.drift,
+            velocity + elapsed * correction.acceleration,
             turned,
-            view[10:] + elapsed * correction.angular,
+            rate + elapsed * correction.angular,
         ]
     )
 
@@ -92,10 +94,11 @@ def update(
     Source: James and Stein (1961), positive part; von Neumann (1941), for the variance from successive differences,
     which a bias does not enter.
     """
-    velocity = measured[3:6] - predicted[3:6]
+    seen, expected = View.of(measured), View.of(predicted)
+    velocity = seen.velocity - expected.velocity
     # The part of the position residual that the velocity residual explains is no drift.
-    position = measured[:3] - predicted[:3] - 0.5 * elapsed * velocity
-    residual = jnp.stack([velocity, measured[10:] - predicted[10:], position]) / elapsed
+    position = seen.position - expected.position - 0.5 * elapsed * velocity
+    residual = jnp.stack([velocity, seen.rate - expected.rate, position]) / elapsed
     error = jnp.stack(known.correction) + residual
 
     weight = jnp.stack([gain, gain, drift_gain])

@@ -17,6 +17,7 @@ from owm.planning.config import Weights
 from owm_envs.field import GeodesicField, clearance, cost_to_go
 from owm_envs.flags import own_promotion
 from owm_envs.task.events import safe_root
+from owm_envs.view import View
 
 
 class Goal(NamedTuple):
@@ -71,12 +72,12 @@ def _way(objective: str, goal: Goal, position: Float[Array, "3"]) -> tuple[Float
 
 
 def _read(objective: str, goal: Goal, view: Float[Array, "13"], effort: Float[Array, "6"]) -> Step:
-    position = view[:3]
+    position, velocity, attitude, rate = View.of(view)
     return Step(
         position - goal.pose[:3],
-        view[3:6],
-        quat_to_rotation_vector(quat_multiply(quat_conjugate(view[6:10]), goal.pose[3:])),
-        view[10:],
+        velocity,
+        quat_to_rotation_vector(quat_multiply(quat_conjugate(attitude), goal.pose[3:])),
+        rate,
         effort,
         clearance(goal.field, position),
         *_way(objective, goal, position),
@@ -215,5 +216,6 @@ def sequence_cost(
 
 def _unbraked(objective: str, goal: Goal, view: Float[Array, "13"], deceleration: Float[Array, ""]) -> Float[Array, ""]:
     """The speed, m/s, beyond what can be braked to rest over the way that is left."""
-    to_go, _ = _way(objective, goal, view[:3])
-    return jnp.maximum(_norm(view[3:6]) - jnp.sqrt(2 * deceleration * jnp.maximum(to_go, 1e-9)), 0)
+    position, velocity, _, _ = View.of(view)
+    to_go, _ = _way(objective, goal, position)
+    return jnp.maximum(_norm(velocity) - jnp.sqrt(2 * deceleration * jnp.maximum(to_go, 1e-9)), 0)

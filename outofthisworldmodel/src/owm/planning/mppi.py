@@ -24,6 +24,7 @@ from owm.planning.update import average, candidate_weights, shifted
 from owm_envs.field import clearance
 from owm_envs.flags import own_promotion
 from owm_envs.task.sensors import STATE
+from owm_envs.view import VIEW_SIZE, View
 
 
 class Problem(NamedTuple):
@@ -56,7 +57,7 @@ def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
     """The state of an episode that has not been planned for."""
     return PlannerState(
         plan=jnp.zeros((shape.horizon, 6), dtype),
-        expected=jnp.zeros(13, dtype),
+        expected=jnp.zeros(VIEW_SIZE, dtype),
         started=jnp.zeros((), bool),
         corrector=corrector.init_corrector(dtype),
     )
@@ -94,7 +95,8 @@ def plan(
     goal = goal._replace(pose=goal.pose.astype(dtype))
     learned = _corrected(shape, model.dt, tuning, state, measured)
 
-    distance = jnp.sqrt(jnp.sum((measured[:3] - goal.pose[:3]) ** 2))
+    position = View.of(measured).position
+    distance = jnp.sqrt(jnp.sum((position - goal.pose[:3]) ** 2))
     nearness = jnp.minimum(1, tuning.sigma_near + (1 - tuning.sigma_near) * distance / tuning.sigma_distance)
     candidates = sample_candidates(shape, nearness * tuning.sigma, state.plan, key=key)
 
@@ -109,7 +111,7 @@ def plan(
 
     few = max(shape.chunk, 2)
     effect = effect_of(candidates[:, 1:few], views[:, 0], views[:, few - 1], (few - 1) * model.dt)
-    clear = clearance(goal.field, measured[:3]) >= 0
+    clear = clearance(goal.field, position) >= 0
     cost = partial(sequence_cost, shape.objective, tuning.weights, goal, clear=clear, deceleration=authority(effect))
     weights = candidate_weights(jax.vmap(cost)(views, candidates), tuning.temperature)
     best = average(weights, candidates)

@@ -16,6 +16,7 @@ from owm.scores.prediction import PredictionError
 from owm.scores.statistics import rate
 from owm_envs.files import write_atomically
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, PORTS, TRAIN_PORTS, goal_poses, hull_boxes
+from owm_envs.view import View
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444", "#8A6FBF")
 """Colours that the colour-blind can tell apart."""
@@ -69,7 +70,7 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
     ends, single = end_of(flights), len(flights) == 1
     # Many flights, the whole way to scale, would hide the station: a second row looks at it closely.
     hull = hull_boxes().reshape(-1, 3)
-    spans = {"": np.concatenate([flights.trajectory[..., :3].reshape(-1, 3), hull])}
+    spans = {"": np.concatenate([View.of(flights.trajectory).position.reshape(-1, 3), hull])}
     spans |= {} if single else {", close up": hull}
     figure = Figure(figsize=(14, 3.4 + 5 * len(spans)), layout="constrained", facecolor="white")
     figure.suptitle(title, fontsize=14, fontweight="bold", color=_INK)
@@ -94,7 +95,7 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
         # The fainter, the more ended alike; the worst on top.
         stroke = {"color": color, "alpha": min(0.95, max(0.15, 40 / len(some))), "lw": 1.6 if single else 0.9,
                   "zorder": 3 + 0.1 * layer}  # fmt: skip
-        room = hull_distance(some.trajectory[..., :3], radius)
+        room = hull_distance(View.of(some.trajectory).position, radius)
         for row in views:
             for axes, (_, i, j, _) in zip(row, _VIEWS):
                 _tracks(axes, some.trajectory, room, i, j, stroke, single)
@@ -161,7 +162,7 @@ def _tracks(
     if single:
         flown = tracks[0][np.isfinite(tracks[0, :, 0])]
         some = flown[:: max(1, len(flown) // 14)]
-        nose = _nose(some[:, 6:10])
+        nose = _nose(View.of(some).attitude)
         axes.quiver(some[:, i], some[:, j], nose[:, i], nose[:, j], color=_INK, width=0.003, scale=22, headwidth=4,
                     zorder=4, label="nose")  # fmt: skip
 
@@ -175,8 +176,9 @@ def _nose(q: Float[np.ndarray, "N 4"]) -> Float[np.ndarray, "N 3"]:
 def _histories(panels: Sequence[Axes], flights: Flights, room, stroke: dict) -> None:
     time = np.arange(flights.trajectory.shape[1]) * flights.decision_dt
     goals = goal_poses()[flights.port, :3]
-    distance = np.linalg.norm(flights.trajectory[..., :3] - goals[:, None], axis=-1)
-    speed = np.linalg.norm(flights.trajectory[..., 3:6], axis=-1)
+    seen = View.of(flights.trajectory)
+    distance = np.linalg.norm(seen.position - goals[:, None], axis=-1)
+    speed = np.linalg.norm(seen.velocity, axis=-1)
     for axes, values in zip(panels, (distance, speed, room)):
         axes.plot(time, values.T, **stroke)
 

@@ -14,6 +14,7 @@ from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
+from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import checked_seed, unknown
 
 SHELLS: dict[str, tuple[float, float]] = {"100-125": (100.0, 125.0), "100-225": (100.0, 225.0)}
@@ -158,7 +159,7 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         if not running.any():
             break
 
-    trajectory = np.full((len(seeds), decisions + 1, 13), np.nan, np.float32)
+    trajectory = np.full((len(seeds), decisions + 1, VIEW_SIZE), np.nan, np.float32)
     trajectory[:, : len(path)] = np.stack(path, axis=1)
     closest = {f"closest_{part}": info[f"closest_{part}"].copy() for part in _CLOSEST}
     approach = state_at(np.stack(path, axis=1), np.stack(clock, axis=1), closest["closest_time"])
@@ -200,7 +201,7 @@ def state_at(
     # The sample before; half a step of a float32 clock must not make it the one before that.
     before = np.clip((clock <= time[:, None] + 1e-9).sum(axis=1) - 1, 0, np.maximum(last - 1, 0))
     after = np.minimum(before + 1, last)
-    p0, v0, p1, v1 = (path[rows, i, part] for i in (before, after) for part in (slice(0, 3), slice(3, 6)))
+    (p0, v0, *_), (p1, v1, *_) = (View.of(path[rows, i]) for i in (before, after))
     step = (clock[rows, after] - clock[rows, before])[:, None]
     whole = np.where(step > 0, step, 1.0)
     s = np.clip((time - clock[rows, before])[:, None] / whole, 0, 1)

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from owm.scores.statistics import quantiles_by, rate
 from owm_envs.files import write_atomically
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS, goal_poses
+from owm_envs.view import View
 
 TOLERANCES: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """m; with and without the bounds on speed, attitude and rate they make fourteen definitions of success."""
@@ -213,8 +214,9 @@ def safe_share(flights: Flights) -> float | None:
 def speed_by_range(flights: Flights, edges: Sequence[float] = RANGES) -> list[dict[str, float]]:
     """Quantiles of the speed, m/s, by range to the hold pose, m, over all decisions."""
     goals = goal_poses()[flights.port, :3]
-    distance = np.linalg.norm(flights.trajectory[..., :3] - goals[:, None], axis=-1)
-    return quantiles_by(distance.ravel(), np.linalg.norm(flights.trajectory[..., 3:6], axis=-1).ravel(), edges)
+    seen = View.of(flights.trajectory)
+    distance, speed = np.linalg.norm(seen.position - goals[:, None], axis=-1), np.linalg.norm(seen.velocity, axis=-1)
+    return quantiles_by(distance.ravel(), speed.ravel(), edges)
 
 
 def score(flights: Flights) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from owm_envs.field import GeodesicField, cost_to_go
+from owm_envs.view import View
 
 FEATURES = 4
 _LENGTH = 225.0
@@ -33,6 +34,6 @@ def with_field(
     field: GeodesicField, ports: Int[np.ndarray, "B"], views: Float[np.ndarray, "B 13"], observation: np.ndarray
 ) -> Float[np.ndarray, "B O+4"]:
     """Append the features of the measured views to observations (B, O)."""
-    positions = np.asarray(views[:, :3], np.float32)
+    positions = np.asarray(View.of(views).position, np.float32)
     told = np.asarray(field_features(field, np.asarray(ports, np.int32), positions))
     return np.concatenate([observation, told], axis=1).astype(np.float32)

@@ -25,6 +25,7 @@ from owm.motion.kinematics import (
 )
 from owm.motion.linear import LinearMap, fit_linear_map
 from owm.motion.track import LOCAL_LEVEL, Filter, Track, displacement, follow, innovation_variance, next_gain
+from owm_envs.view import View
 
 
 class Statistics(NamedTuple):
@@ -174,14 +175,14 @@ class Variant:
             mean = np.mean(np.square(x, dtype=np.float64), axis=axis)
             return jnp.asarray(np.maximum(np.sqrt(mean), 1e-9), episodes.view.dtype)
 
-        view = episodes.view
+        position, velocity, _, rate = View.of(episodes.view)
         return Statistics(
             linear,
             self.filter.fit(episodes, linear),
             size(episodes.action, 0),
-            size(view[:, :3]),
-            size(view[:, 3:6]),
-            size(view[:, 10:]),
+            size(position),
+            size(velocity),
+            size(rate),
         )
 
     def skeleton(self, dtype: jnp.dtype) -> Statistics:

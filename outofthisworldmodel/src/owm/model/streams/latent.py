@@ -19,6 +19,7 @@ from owm.model.transformer import MLP, Linear
 from owm.motion.bilinear import COLUMNS, bilinear_change, fit_bilinear_map
 from owm.motion.kinematics import decode_penalty, pose, quaternion, rotation
 from owm.motion.linear import transitions
+from owm_envs.view import View
 
 SIZES = (3, 3, 9, 3)
 """Features of a token: position, velocity, rotation matrix, rate."""
@@ -60,7 +61,8 @@ class Latent(NamedTuple):
 
 def features(view: Float[Array, "13"], anchor: Float[Array, "7"]) -> Float[Array, "18"]:
     """Return position from the anchor, velocity, rotation matrix (station frame) and body rate, SI."""
-    return jnp.concatenate([view[:3] - anchor[:3], view[3:6], rotation(view[6:10]).reshape(9), view[10:]])
+    position, velocity, attitude, rate = View.of(view)
+    return jnp.concatenate([position - anchor[:3], velocity, rotation(attitude).reshape(9), rate])
 
 
 def embedding(width: int) -> Float[np.ndarray, "18 4*d"]:
@@ -125,8 +127,9 @@ class LatentStream(eqx.Module):
         def rms(x: Array, axis: int | None = None) -> np.ndarray:
             return np.maximum(np.sqrt(np.mean(np.square(np.asarray(x, np.float64)), axis=axis)), 1e-9)
 
-        speed = rms(before[:, 3:6])
-        kinds = jnp.asarray([SECONDS * speed, speed, 3**-0.5, rms(before[:, 10:])], dtype)
+        _, velocity, _, rate = View.of(before)
+        speed = rms(velocity)
+        kinds = jnp.asarray([SECONDS * speed, speed, 3**-0.5, rms(rate)], dtype)
         scale, action_scale = kinds[_OWNER], jnp.asarray(rms(action, 0), dtype)
         origin = jnp.zeros(7, dtype)
         first, second = (jax.jit(jax.vmap(lambda view: features(view, origin) / scale))(x) for x in (before, after))
