@@ -15,7 +15,7 @@ import pytest
 from owm_envs.config import NOISE_PRESETS, DockingConfig
 from owm_envs.env import DockingEnv
 from owm_envs.station import PARTS, PORTS, goal_poses, hull_boxes, nearest_part, port_index
-from owm_envs.task.sensors import goal_error
+from owm_envs.task.navigation import goal_error
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "jax.md"
