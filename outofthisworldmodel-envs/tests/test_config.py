@@ -227,7 +227,8 @@ def test_float64_outside_64_bit_mode_is_refused():
 
 
 def test_import_stays_light():
-    code = "import owm_envs, sys; assert not {'jax', 'torch', 'cv2', 'pyarrow'} & set(sys.modules), sys.modules.keys()"
+    heavy = {"jax", "torch", "cv2", "pyarrow"}
+    code = f"import owm_envs, sys; assert not {heavy} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

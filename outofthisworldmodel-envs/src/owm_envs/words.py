@@ -46,7 +46,7 @@ _OURS = {
     "less_than_equal": "must be at most {le}",
     "too_short": "must hold at least {min_length}",
     "too_long": "must hold at most {max_length}",
-    "finite_number": "must be finite",
+    "finite_number": "must be a finite number",
     "int_from_float": "must be a whole number",
     **dict.fromkeys(("int_type", "int_parsing"), "must be a whole number"),
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
@@ -80,10 +80,10 @@ def mistakes(error: Any, model: Any = None, unit: Callable[[tuple[str, ...]], st
             where += ": " if where else ""
         elif kind in ("value_error", "assertion_error"):
             text = said.removeprefix(f"{parts[-1]} ") if parts else said
-            where = place and f"{place}{' ' if text != said or said.startswith('must ') else ': '}"
+            where = place and f"{place}{' ' if text != said else ': '}"
         else:
             said = re.sub(r"^(Input|\w+) should (?:be )?(?:a valid )?", "must be ", said)
-            where, text = (f"{place} " if place else ""), _OURS.get(kind, said).format(**mistake.get("ctx", {}))
+            where, text = (f"{place}: " if place else ""), _OURS.get(kind, said).format(**mistake.get("ctx", {}))
             if kind != "missing":
                 of = unit(tuple(part for part in mistake["loc"] if isinstance(part, str)))
                 came[where] = f", got {mistake['input']!r}" + (f" {of}" if of else "")
