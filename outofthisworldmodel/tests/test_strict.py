@@ -77,12 +77,11 @@ def test_learned_models_plan_and_train(stream, backbone, jax_flags):
 
     with jax_flags(strict=True):
         assert replanned(model, params) == (2, 6)
-        lost, slope = jax.eval_shape(jax.value_and_grad(trained), params, shaped(length, 13), shaped(length - 1, 6))
+        lost = jax.eval_shape(trained, params, shaped(length, 13), shaped(length - 1, 6))
         history = History({"state": shaped(8, 13)}, shaped(7, 6), shaped(8, dtype=bool))
         state = jax.eval_shape(model.encode, params, history)
         assert jax.eval_shape(onward, params, state, shaped(6), shaped(13)).shape == (13,)
     assert lost.shape == ()
-    assert jax.tree.structure(slope) == jax.tree.structure(params)
 
 
 @pytest.mark.parametrize("objective", ["geodesic", "straight", "plain"])
