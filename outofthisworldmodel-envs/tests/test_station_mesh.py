@@ -225,6 +225,33 @@ def test_triangles_without_an_area_are_dropped_and_counted(tmp_path):
         assert len(load_triangles(obj(tmp_path / "mesh.obj"))) == 2
 
 
+@pytest.mark.parametrize("kind", ["stl", "stl_ascii", "ply", "obj", "glb"])
+def test_a_file_that_loses_triangles_is_refused_in_every_format(tmp_path, monkeypatch, kind):
+    path = tmp_path / f"mesh.{kind.removesuffix('_ascii')}"
+    data = trimesh.creation.box((9, 9, 9)).export(file_type=kind)
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    assert len(load_triangles(path)) == 12
+    read = trimesh.load_scene
+
+    def losing(*args, **kwargs):
+        """A reader that drops the last triangle of each part without a word."""
+        scene = read(*args, **kwargs)
+        for part in scene.geometry.values():
+            part.faces = part.faces[:-1]
+        return scene
+
+    monkeypatch.setattr(trimesh, "load_scene", losing)
+    with pytest.raises(ValueError, match="declares 12 triangles, of which 11 were read"):
+        load_triangles(path)
+
+
+def test_a_truncated_stl_is_refused(tmp_path):
+    path = tmp_path / "mesh.stl"
+    path.write_bytes(trimesh.creation.box((9, 9, 9)).export(file_type="stl")[:-60])
+    with pytest.raises(ValueError, match=r"declares 12 triangles, of which 0 were read|cannot be read as a mesh"):
+        load_triangles(path)
+
+
 @pytest.mark.parametrize("first", ["nan", "inf"])
 def test_a_vertex_that_is_not_finite_is_refused(tmp_path, first):
     with pytest.raises(ValueError, match="not finite"):

@@ -116,12 +116,31 @@ class _Lost(ValueError):
 
 
 def _declared(path: Path) -> int:
-    """Count the triangles that a glTF file's scene declares, a mesh once for each node that shows it.
+    """Count the triangles that a file declares; a polygon of a PLY file counts as one, an unknown format as none."""
+    counted = {".glb": _in_gltf, ".gltf": _in_gltf, ".obj": _in_obj, ".stl": _in_stl, ".ply": _in_ply}
+    return counted.get(path.suffix.lower(), lambda data: 0)(path.read_bytes())
+
+
+def _in_obj(data: bytes) -> int:
+    return sum(max(len(line.split()) - 3, 0) for line in data.splitlines() if line.lstrip().startswith(b"f "))
+
+
+def _in_stl(data: bytes) -> int:
+    text = data.lstrip().startswith(b"solid") and b"facet" in data[:1000]
+    return data.count(b"endfacet") if text else int.from_bytes(data[80:84], "little")
+
+
+def _in_ply(data: bytes) -> int:
+    header = data[: data.find(b"end_header")].split()
+    return int(header[header.index(b"face") + 1]) if b"face" in header else 0
+
+
+def _in_gltf(data: bytes) -> int:
+    """Count what the scene declares, a mesh once for each node that shows it.
 
     Raises:
         _Lost: a primitive of another mode, named with its node.
     """
-    data = path.read_bytes()
     if data[:4] == b"glTF":
         data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
     tree = json.loads(data)
@@ -174,7 +193,7 @@ def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) 
     if not path.is_file():
         raise ValueError(f"no such mesh: {path}")
     try:
-        declared = _declared(path) if path.suffix.lower() in (".glb", ".gltf") else None
+        declared = _declared(path)
         # Unprocessed: trimesh's cleaning drops triangles, those with NaN among them, without a word.
         loaded = trimesh.load_scene(path, process=False)
         geometry = loaded.dump()
@@ -187,8 +206,8 @@ def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) 
             name = part.metadata.get("name", "a part without a name")
             raise ValueError(f"{path}: {name} is a {type(part).__name__}, not triangles; delete or convert it")
     triangles = np.concatenate([np.zeros((0, 3, 3)), *(np.asarray(mesh.triangles, np.float64) for mesh in geometry)])
-    if declared is not None and len(triangles) != declared:
-        raise ValueError(f"{path} declares {declared} triangles in its scene, of which {len(triangles)} were read")
+    if len(triangles) < declared:
+        raise ValueError(f"{path} declares {declared} triangles, of which {len(triangles)} were read")
     if len(triangles) == 0:
         raise ValueError(f"{path} holds no triangles")
     if not np.isfinite(triangles).all():
