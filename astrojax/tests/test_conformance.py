@@ -245,6 +245,7 @@ CASES = [
     case("quat_multiply", attitude.quat_multiply, (Q1, Q2)),
     case("quat_conjugate", attitude.quat_conjugate, (Q1,)),
     case("quat_normalize", attitude.quat_normalize, (3.0 * Q1,)),
+    case("quat_sign", attitude.quat_sign, (Q1, Q2), (-Q1, Q1)),
     case("quat_rotate", attitude.quat_rotate, (Q1, ACCEL)),
     case("quat_to_rotation", attitude.quat_to_rotation, (Q1,)),
     case(

@@ -131,7 +131,7 @@ def soak(env: DockingEnv, params, slots: Slots) -> tuple[Slots, Tally]:
         bored = jax.random.bits(lots, slots.held.shape[:1], jnp.uint16) < 64
         running = slots.state.outcome == Outcome.RUNNING
         due = bored | ~running
-        nothing = jnp.zeros((*due.shape, env.layout.size), jnp.float32)
+        nothing = {name: jnp.zeros((*due.shape, *x.shape), x.dtype) for name, x in env.observation_parts.items()}
         state, _ = restart_where(env, params, due, slots.state, nothing)
         tally = tally._replace(restarts=tally.restarts + jnp.sum(bored & running))
         return jax.lax.scan(step, (slots._replace(state=state, key=key), tally), length=STRIDE)

@@ -284,7 +284,7 @@ def test_a_run_killed_after_its_last_file_has_moved_is_complete(recorded, tmp_pa
     [
         ({"transitions": 0}, "transitions must be at least 1"),
         ({"planner_style": 1.5}, "planner_style must be from 0 to 1"),
-        ({"seed": -1}, "seed must be from 0"),
+        ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
     ],
 )
 def test_impossible_requests_are_refused_by_name(request_, message):

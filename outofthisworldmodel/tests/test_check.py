@@ -47,13 +47,14 @@ class Body(FreeBody):
     wrong: str = ""
 
     def encode(self, params, history):
+        views = history.observation["state"]
         if self.wrong == "branches in Python":
-            return history.observation[-1] if history.valid[0] else history.observation[0]
+            return views[-1] if history.valid[0] else views[0]
         if self.wrong == "needs a whole history":
-            return history.observation[-1] / jnp.where(history.valid.all(), 1.0, 0.0)
+            return views[-1] / jnp.where(history.valid.all(), 1.0, 0.0)
         if self.wrong == "another frame":
-            return history.observation[-1].at[:3].multiply(-1.0)
-        return history.observation[-1]
+            return views[-1].at[:3].multiply(-1.0)
+        return views[-1]
 
     def step(self, params, key, action, state):
         after = super().step(params, key, action, state)

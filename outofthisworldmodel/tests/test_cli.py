@@ -251,10 +251,10 @@ SEEDED = (
         ("train --data none --out FILE", "is no folder"),
         ("train-ppo --out FILE", "is no folder"),
         ("demo --out FILE", "is no folder"),
-        ("demo --out HOME", "holds files of something else (file): choose another folder"),
-        ("train --data none --out HOME", "holds files of something else (file): choose another folder"),
-        ("fly --out HOME", "holds files of something else (file): choose another folder"),
-        ("evaluate docking dock --out HOME", "holds files of something else (file): choose another folder"),
+        ("demo --out HOME", "holds files of something else (file, table.toml): choose another folder"),
+        ("train --data none --out HOME", "holds files of something else (file, table.toml): choose another folder"),
+        ("fly --out HOME", "holds files of something else (file, table.toml): choose another folder"),
+        ("evaluate docking dock --out HOME", "holds files of something else (file, table.toml): choose another folder"),
     ],
 )
 def test_a_mistake_is_one_line_before_anything_flies(command, said, tmp_path, capsys):

@@ -298,8 +298,8 @@ def test_data_that_does_not_fit_is_refused(episodes, tmp_path):
     ("change", "message"),
     [
         (lambda e: replace(e, action=e.action * np.float32([1, 1, 1, 1, 1, 0])), "never vary torque z: nothing can be"),
-        (lambda e: replace(e, observation=e.observation * np.float32([0, *[1] * 12])), "never vary position x"),
-        (lambda e: replace(e, observation=np.where(np.arange(13) == 12, np.inf, e.observation)), "statistics, "),
+        (lambda e: replace(e, observation={"state": e.view * np.float32([0, *[1] * 12])}), "never vary position x"),
+        (lambda e: replace(e, observation={"state": np.where(np.arange(13) == 12, np.inf, e.view)}), "statistics, "),
     ],
 )
 def test_data_that_teach_nothing_are_refused_before_anything_is_written(change, message, episodes, tmp_path):
@@ -333,7 +333,7 @@ def test_constant_velocity_is_the_bar(episodes):
     sets, model = validation_sets(CONFIG, episodes), ConstantVelocity(CONFIG.model.history_length)
 
     def score(windows):
-        context = jnp.full(len(windows.observation), model.history_length, jnp.int32)
+        context = jnp.full(len(windows.action), model.history_length, jnp.int32)
         return np.sum(np.mean(window_errors(model, (), windows, context)[1], axis=(0, 1)) / np.asarray(SCORE_UNITS))
 
     assert coasting_score(CONFIG.model, sets) == pytest.approx(np.mean([score(each) for each in sets.values()]), 1e-5)

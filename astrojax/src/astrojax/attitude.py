@@ -65,7 +65,7 @@ def quat_sign(q: Float[ArrayLike, "... 4"], reference: Float[ArrayLike, "... 4"]
     """
     product = q * reference
     cosine = product[..., 0] + product[..., 1] + product[..., 2] + product[..., 3]
-    return (1 - 2 * (cosine < 0)).astype(q.dtype)
+    return 1 - 2 * (cosine < 0).astype(q.dtype)
 
 
 def quat_rotate(q: Quaternion, v: Vector3) -> Vector3:

@@ -2,6 +2,7 @@
 
 import functools
 import operator
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -21,7 +22,7 @@ def stored(x: PyTree) -> PyTree:
     return jax.lax.optimization_barrier(x)
 
 
-def summed(terms: Shaped[ArrayLike, "N ..."]) -> Array | np.ndarray | np.generic:
+def summed(terms: Shaped[ArrayLike, "N ..."] | Sequence[ArrayLike]) -> Array | np.ndarray | np.generic:
     """Sum over a short first axis, written out: XLA fuses additions with their neighbours, but not a reduction."""
     return functools.reduce(operator.add, terms)
 

@@ -1,11 +1,13 @@
 """`python -m owm` is the command `owm`."""
 
-from owm_envs.shell import end_when_interrupted
+import os
+import signal
 
 
 def main() -> None:
     """Run the command, which a Ctrl-C ends in one line from here on."""
-    end_when_interrupted()
+    # Before the first import that takes time; `owm_envs.shell` goes on from there.
+    signal.signal(signal.SIGINT, lambda *_: (os.write(2, b"interrupted\n"), os._exit(130)))
     from owm.cli import main
 
     main()

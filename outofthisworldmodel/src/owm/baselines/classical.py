@@ -16,6 +16,7 @@ from owm_envs.env import DockingEnv
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
 
 CRUISE_RADIUS = 85.0
@@ -119,7 +120,7 @@ class ClassicalPolicy:
         first = self.ekf.init(self.params, measured)
         # Before the first measurement there is no belief to go on from, but a rotation must be one to be finite.
         known = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), state.belief, first)
-        followed = self.ekf.observe(self.params, known, state.wrench, measured)
+        followed = self.ekf.observe(self.params, known, state.wrench, {STATE: measured})
         belief = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), followed, first)
         view = View.of(belief.view)
 
