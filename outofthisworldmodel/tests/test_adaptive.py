@@ -85,7 +85,7 @@ def test_the_prior_is_the_spread_of_the_vehicles(models):
     statistics = models["adaptive"].params.statistics
     share = np.diag(np.asarray(statistics.filter.response)[:, :6]) / np.abs(np.diag(statistics.linear.action))
     assert np.all((share > 0.1) & (share < 0.6)), f"now, as a share of the whole: {share}"
-    alike = untrained("adaptive", flights(1, 0.0, 0)).params.statistics
+    alike = STREAMS["adaptive"].fit(flights(1, 0.0, 0))
     share = np.diag(np.asarray(alike.filter.response)[:, :6]) / np.abs(np.diag(alike.linear.action))
     assert np.all(share < 0.05), f"where all vehicles are one there is nothing to find: {share}"
 

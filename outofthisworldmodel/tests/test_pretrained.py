@@ -28,8 +28,12 @@ def test_the_shipped_model_predicts_what_the_equations_of_motion_do():
     known = model.history_length
     history = History({"state": views[:known]}, actions[: known - 1], jnp.ones(known, bool))
     rest = actions[known - 1 :]
-    start = model.encode(model.params, history)
-    predicted = jax.jit(lambda start, actions: roll_out(model, model.params, start, actions))(start, rest)
+
+    @jax.jit
+    def predict(params, history, actions):
+        return roll_out(model, params, model.encode(params, history), actions)
+
+    predicted = predict(model.params, history, rest)
     error = np.linalg.norm(np.asarray(view_error(predicted[-1], views[-1])).reshape(4, 3), axis=1)
     moved = np.linalg.norm(np.asarray(views[-1, :3] - views[known - 1, :3]))
     assert moved > 5.0

@@ -323,9 +323,10 @@ def test_fewer_windows_than_a_batch_are_refused(episodes, tmp_path):
     ],
 )
 def test_a_single_flight_publishes_no_model(policy, seed, told, episodes, tmp_path):
-    flight = from_episodes(synthetic.episodes(seed, 1, 60.0, policies=(policy,)))
+    # As often as there are flights elsewhere, so that the programs are those of the other tests.
+    flight = from_episodes(synthetic.episodes(seed, 8, 60.0, policies=(policy,))[:1] * 8)
     with pytest.raises((ValueError, FloatingPointError), match=f"{told}.*record more flights"):
-        train(CONFIG.model_copy(update={"steps": 25}), flight, episodes, tmp_path, console=QUIET)
+        train(CONFIG, flight, episodes, tmp_path, console=QUIET)
     assert not (tmp_path / "model").exists()
 
 

@@ -1,6 +1,7 @@
 """`check_world_model`: whether a world model of a user's own keeps the contract of `owm.interface`."""
 
 import inspect
+from functools import partial
 from typing import Any
 
 import jax
@@ -95,21 +96,22 @@ def _check_functions(model: WorldModel, history: History) -> None:
     _expect(form.shape == (13,), "types", 'the view "state" to be of shape (13,)', form.shape)
     _expect(jnp.issubdtype(form.dtype, jnp.floating), "types", 'the view "state" to be of floats', form.dtype)
 
-    def flight(params, history, key):
-        """The view now, after a step, and after a measurement."""
-        state = model.encode(params, history)
-        stepped = model.step(params, key, action, state)
-        measured = model.observe(params, state, action, last)
-        return [model.decode(params, each)["state"] for each in (state, stepped, measured)]
+    # Each function is compiled once: of the filter's among our own models each takes seconds.
+    encode, observe, decode = (jax.jit(functions[name]) for name in ("encode", "observe", "decode"))
+    step = jax.jit(lambda params, key, state: model.step(params, key, action, state))
 
-    compiled = jax.jit(flight)
-    views = np.asarray(compiled(params, history, None))
+    def flight(history, key):
+        """The view now, after a step, and after a measurement."""
+        state = encode(params, history)
+        return [decode(params, each)["state"] for each in (state, step(params, key, state), observe(params, state))]
+
+    views = np.asarray(flight(history, None))
     single = history._replace(
         observation={name: jnp.broadcast_to(last[name], values.shape) for name, values in history.observation.items()},
         valid=jnp.arange(len(history.valid)) == len(history.valid) - 1,
     )
     for given, of in ((history, "a whole history"), (single, "a history of a single measurement")):
-        found = np.asarray(compiled(params, given, None))
+        found = np.asarray(flight(given, None))
         _expect(np.isfinite(found).all(), "finite numbers", f"finite views from {of}", found.tolist())
         off = np.linalg.norm(np.asarray(view_error(jnp.asarray(found[0], jnp.float32), view)).reshape(4, 3), axis=1)
         near = (off < np.array(_FAR)).all()
@@ -118,13 +120,19 @@ def _check_functions(model: WorldModel, history: History) -> None:
         )
     sizes = np.linalg.norm(views[:, 6:10], axis=1)
     _expect(np.abs(sizes - 1).max() < _ROUNDING, "unit quaternion", "attitudes of length 1", sizes.tolist())
-    again = np.asarray(compiled(params, history, None))
+    again = np.asarray(flight(history, None))
     _expect(np.array_equal(again, views), "the same step twice", f"{views[1]} without a key", again[1])
     keys = jax.random.split(jax.random.key(1), 2)
-    batch = jax.jit(jax.vmap(flight, (None, None, 0)))(params, history, keys)
-    loop = [compiled(params, history, key) for key in keys]
-    _alike([[part[i] for part in batch] for i in range(2)], np.asarray(loop), "vmap equals a loop")
-    _alike([compiled(params, history, keys[0])], np.asarray(loop[:1]), "the same key, the same sample")
+    state = encode(params, history)
+
+    @jax.jit
+    @partial(jax.vmap, in_axes=(None, 0, None))
+    def stepped(params, key, state):
+        return functions["decode"](params, model.step(params, key, action, state))["state"]
+
+    loop = [flight(history, key)[1] for key in keys]
+    _alike(stepped(params, keys, state), np.asarray(loop), "vmap equals a loop")
+    _alike([flight(history, keys[0])[1]], np.asarray(loop[:1]), "the same key, the same sample")
 
 
 def _alike(came: Any, expected: np.ndarray, check: str) -> None:

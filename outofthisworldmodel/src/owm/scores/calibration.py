@@ -181,6 +181,7 @@ def calibration(
         raise ValueError(f"outcome must be 'truth' or 'measurement', got {outcome!r}")
     length = model.history_length + max(horizons)
     count = check_windows(windows, length)
+    batch = min(batch, count)
     index = np.asarray(horizons) - 1
     actual = windows.truth if outcome == "truth" else windows.observation[STATE]
     sums = None

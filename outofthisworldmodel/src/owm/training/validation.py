@@ -50,8 +50,14 @@ def _weighed(norms: Float[np.ndarray, "B F 4"]) -> float:
 
 def coasting_score(config: ModelConfig, sets: dict[str, Windows]) -> float:
     """What `validate` would say of constant velocity and body rate: a model that scores worse is of no use."""
+    errors = (_coasting_errors(config, windows.observation[STATE]) for windows in sets.values())
+    return float(np.mean([_weighed(error) for error in errors]))
 
-    @jax.jit
+
+@partial(jax.jit, static_argnames=("config",))
+def _coasting_errors(config: ModelConfig, views: Float[Array, "B L 13"]) -> Float[Array, "B F 4"]:
+    """Error norms of windows, SI, against their measurements."""
+
     @jax.vmap
     def errors(views: Float[Array, "L 13"]) -> Float[Array, "F 4"]:
         last, measured = views[config.history_length - 1], views[config.history_length :]
@@ -62,7 +68,7 @@ def coasting_score(config: ModelConfig, sets: dict[str, Windows]) -> float:
 
         return _norms(jax.lax.scan(coast, to_motion(last, last), length=len(measured))[1], measured)
 
-    return float(np.mean([_weighed(errors(windows.observation[STATE])) for windows in sets.values()]))
+    return errors(views)
 
 
 @partial(jax.jit, static_argnames=("model",))
