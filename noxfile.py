@@ -144,7 +144,8 @@ def sb3(session: nox.Session) -> None:
     """Test adapter and PPO baseline with the real Stable-Baselines3, and video recorders (brings torch: large)."""
     envs = _editable("sb3,test", "outofthisworldmodel-envs")
     owm = _editable("ppo,test", "outofthisworldmodel")
-    _install(session, *_editable("", "astrojax"), *envs, *owm, "matplotlib>=3.8", "moviepy>=2", "array-api-compat>=1.11")
+    others = ("matplotlib>=3.8", "moviepy>=2", "array-api-compat>=1.11")
+    _install(session, *_editable("", "astrojax"), *envs, *owm, *others)
     cache = {name: os.environ.get(name, value) for name, value in JAX_CACHE.items()}
     tests = ("outofthisworldmodel-envs/tests_sb3", "outofthisworldmodel/tests_ppo")
     session.run("pytest", *tests, *session.posargs, env=cache)
