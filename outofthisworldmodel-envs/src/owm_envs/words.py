@@ -14,6 +14,31 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     return f"unknown {kind} {name!r}{hint} known: {', '.join(known)}"
 
 
+def require_parts(kind: str, protocol: str, candidate: object, names: Iterable[str]) -> None:
+    """Refuse what cannot be a static part of an environment.
+
+    Args:
+        kind: the argument, as the user knows it.
+        protocol: what it must be, and where that is told.
+        candidate: what came.
+        names: what it must have.
+
+    Raises:
+        TypeError: it is a class, lacks a part, or cannot be hashed.
+    """
+    missing = [name for name in names if not hasattr(candidate, name)]
+    if missing or isinstance(candidate, type):
+        lacks = f"lacks {', '.join(missing)}" if missing else "is a class, not an instance of it"
+        raise TypeError(f"{kind} must be {protocol}, but {candidate!r} {lacks}")
+    try:
+        hash(candidate)
+    except TypeError:
+        raise TypeError(
+            f"{kind} must be hashable, to share compiled programs, but {type(candidate).__name__} is not: "
+            "make it a frozen dataclass without arrays"
+        ) from None
+
+
 def checked_seed(seed: Any, bits: int | None = None) -> int:
     """A seed as Python's integer.
 

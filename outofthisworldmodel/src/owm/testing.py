@@ -11,6 +11,7 @@ import numpy as np
 from owm.interface import History, WorldModel, check_complete
 from owm.motion.kinematics import advance, to_motion, to_view, view_error
 from owm_envs.task.sensors import STATE
+from owm_envs.testing.expect import expect, outline
 
 _START = (60.0, -40.0, 30.0, -0.2, 0.1, -0.1, 0.5, 0.5, -0.5, 0.5, 2e-3, -1e-3, 1e-3)
 _ACTION = (200.0, -150.0, 100.0, 40.0, -30.0, 20.0)
@@ -32,27 +33,22 @@ def check_world_model(model: WorldModel, history: History | None = None) -> None
     Raises:
         AssertionError: naming the check that failed, what was expected and what came, on one line.
     """
-    _expect(not inspect.isclass(model), "interface", "an object, made with its class", f"the class {model!r}")
+    expect(not inspect.isclass(model), "interface", "an object, made with its class", f"the class {model!r}")
     try:
         check_complete(model)
     except TypeError as error:
         raise AssertionError(f"interface: {error}") from None
     length, dt = model.history_length, model.dt
-    _expect(isinstance(model.name, str), "interface", "name to be text", repr(model.name))
+    expect(isinstance(model.name, str), "interface", "name to be text", repr(model.name))
     whole = isinstance(length, int | np.integer) and length > 0
-    _expect(whole, "interface", "history_length to be a whole number from 1 on", repr(length))
-    _expect(isinstance(dt, float | int) and dt > 0, "interface", "dt to be a positive number of seconds", repr(dt))
+    expect(whole, "interface", "history_length to be a whole number from 1 on", repr(length))
+    expect(isinstance(dt, float | int) and dt > 0, "interface", "dt to be a positive number of seconds", repr(dt))
     try:
         hash(model)
     except TypeError as error:
         raise AssertionError(f"static: expected a model that can be hashed (a frozen dataclass), got {error}") from None
     with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
         _check_functions(model, _history(int(length), float(dt)) if history is None else history)
-
-
-def _expect(passed: Any, check: str, expected: str, came: Any) -> None:
-    if not bool(passed):
-        raise AssertionError(" ".join(f"{check}: expected {expected}, got {came}".split()))
 
 
 def _history(length: int, dt: float) -> History:
@@ -78,23 +74,17 @@ def _check_functions(model: WorldModel, history: History) -> None:
         "decode": lambda params, state: model.decode(params, state),
     }
 
-    def outline(name: str, *given: Any) -> Any:
-        try:
-            return jax.eval_shape(functions[name], *given)
-        except jax.errors.JAXTypeError as error:  # Python's `if`, `float()` or NumPy on a traced value
-            raise AssertionError(f"jit: expected {name} to be traceable, got {str(error).splitlines()[0]}") from error
-
-    state = outline("encode", params, history)
+    state = outline("encode", functions["encode"], params, history)
     for name in ("step", "step with a key", "observe"):
-        after = outline(name, params, state)
+        after = outline(name, functions[name], params, state)
         shapes = [[(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(tree)] for tree in (state, after)]
         same = jax.tree.structure(after) == jax.tree.structure(state) and shapes[0] == shapes[1]
-        _expect(same, "types", f"{name} to return a state like encode's, {state}", after)
-    seen = outline("decode", params, state)
-    _expect(isinstance(seen, dict) and "state" in seen, "types", 'decode to return a dict with "state"', seen)
+        expect(same, "types", f"{name} to return a state like encode's, {state}", after)
+    seen = outline("decode", functions["decode"], params, state)
+    expect(isinstance(seen, dict) and "state" in seen, "types", 'decode to return a dict with "state"', seen)
     form = seen["state"]
-    _expect(form.shape == (13,), "types", 'the view "state" to be of shape (13,)', form.shape)
-    _expect(jnp.issubdtype(form.dtype, jnp.floating), "types", 'the view "state" to be of floats', form.dtype)
+    expect(form.shape == (13,), "types", 'the view "state" to be of shape (13,)', form.shape)
+    expect(jnp.issubdtype(form.dtype, jnp.floating), "types", 'the view "state" to be of floats', form.dtype)
 
     # Each function is compiled once: of the filter's among our own models each takes seconds.
     encode, observe, decode = (jax.jit(functions[name]) for name in ("encode", "observe", "decode"))
@@ -112,16 +102,14 @@ def _check_functions(model: WorldModel, history: History) -> None:
     )
     for given, of in ((history, "a whole history"), (single, "a history of a single measurement")):
         found = np.asarray(flight(given, None))
-        _expect(np.isfinite(found).all(), "finite numbers", f"finite views from {of}", found.tolist())
+        expect(np.isfinite(found).all(), "finite numbers", f"finite views from {of}", found.tolist())
         off = np.linalg.norm(np.asarray(view_error(jnp.asarray(found[0], jnp.float32), view)).reshape(4, 3), axis=1)
         near = (off < np.array(_FAR)).all()
-        _expect(
-            near, "station frame", f"encode and decode to give the last measurement of {of}", f"one off by {off} SI"
-        )
+        expect(near, "station frame", f"encode and decode to give the last measurement of {of}", f"one off by {off} SI")
     sizes = np.linalg.norm(views[:, 6:10], axis=1)
-    _expect(np.abs(sizes - 1).max() < _ROUNDING, "unit quaternion", "attitudes of length 1", sizes.tolist())
+    expect(np.abs(sizes - 1).max() < _ROUNDING, "unit quaternion", "attitudes of length 1", sizes.tolist())
     again = np.asarray(flight(history, None))
-    _expect(np.array_equal(again, views), "the same step twice", f"{views[1]} without a key", again[1])
+    expect(np.array_equal(again, views), "the same step twice", f"{views[1]} without a key", again[1])
     keys = jax.random.split(jax.random.key(1), 2)
     state = encode(params, history)
 
@@ -138,4 +126,4 @@ def _check_functions(model: WorldModel, history: History) -> None:
 def _alike(came: Any, expected: np.ndarray, check: str) -> None:
     came = np.asarray(came)
     close = np.allclose(came, expected, rtol=_ROUNDING, atol=_ROUNDING)
-    _expect(close, check, f"{expected.tolist()}", came.tolist())
+    expect(close, check, f"{expected.tolist()}", came.tolist())

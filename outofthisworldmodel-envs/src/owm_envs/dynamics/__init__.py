@@ -15,6 +15,7 @@ from owm_envs.dynamics.free_flyer import FreeFlyer
 from owm_envs.dynamics.hcw import HillClohessyWiltshire
 from owm_envs.dynamics.numerical import NumericalOrbits
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.words import require_parts
 
 
 class Dynamics(Protocol):
@@ -49,17 +50,8 @@ DYNAMICS: dict[str, Callable[[DockingConfig], Dynamics]] = {
 
 def require_dynamics(candidate: object) -> None:
     """Raise TypeError, naming what is missing, unless the candidate is a `Dynamics` that can be hashed."""
-    missing = [name for name in ("has_epoch", "init", "step", "relative_state") if not hasattr(candidate, name)]
-    if missing or isinstance(candidate, type):
-        lacks = f"lacks {', '.join(missing)}" if missing else "is a class, not an instance of it"
-        raise TypeError(f"dynamics must be a Dynamics (owm_envs.dynamics), but {candidate!r} {lacks}")
-    try:
-        hash(candidate)
-    except TypeError:
-        raise TypeError(
-            f"dynamics must be hashable, to share compiled programs, but {type(candidate).__name__} is not: "
-            "make it a frozen dataclass without arrays"
-        ) from None
+    names = ("has_epoch", "init", "step", "relative_state")
+    require_parts("dynamics", "a Dynamics (owm_envs.dynamics)", candidate, names)
 
 
 __all__ = ["DYNAMICS", "Dynamics", "PhysicalState", "VehicleState", "require_dynamics"]

@@ -12,6 +12,7 @@ from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState
 from owm_envs.task.reset import named_key
 from owm_envs.view import View
+from owm_envs.words import require_parts
 
 STATE = "state"
 """The part that every observation has: what relative navigation measures, laid out by `ObservationLayout`."""
@@ -82,19 +83,8 @@ def require_sensors(sensors: Sequence[Any]) -> tuple[Sensor, ...]:
     sensors = tuple(sensors)
     taken: set[str] = set()
     for sensor in sensors:
-        missing = [
-            name for name in ("name", "shape", "dtype", "every", "may_miss", "measure") if not hasattr(sensor, name)
-        ]
-        if missing or isinstance(sensor, type):
-            lacks = f"lacks {', '.join(missing)}" if missing else "is a class, not an instance of it"
-            raise TypeError(f"sensors must be Sensors (owm_envs.task.sensors), but {sensor!r} {lacks}")
-        try:
-            hash(sensor)
-        except TypeError:
-            raise TypeError(
-                f"sensors must be hashable, to share compiled programs, but {type(sensor).__name__} is not: "
-                "make it a frozen dataclass without arrays"
-            ) from None
+        names = ("name", "shape", "dtype", "every", "may_miss", "measure")
+        require_parts("sensors", "Sensors (owm_envs.task.sensors)", sensor, names)
         if not (isinstance(sensor.name, str) and sensor.name.isidentifier()):
             raise ValueError(f"a sensor's name must be a Python identifier, got {sensor.name!r}")
         names = {sensor.name, valid_name(sensor)}

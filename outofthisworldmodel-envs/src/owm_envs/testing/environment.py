@@ -1,8 +1,7 @@
-"""Whether what a user brings keeps its contract: `check_env` for equations of motion, `check_policy` for policies."""
+"""`check_env`: whether equations of motion, or an environment over them, keep the contract of `Dynamics`."""
 
-import inspect
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -15,9 +14,9 @@ from jaxtyping import Array, Float
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply, quat_sign
 from owm_envs.config.params import Params
 from owm_envs.dynamics import Dynamics, PhysicalState
-from owm_envs.env import DockingEnv, docking_env
-from owm_envs.station import port_indices
+from owm_envs.env import DockingEnv
 from owm_envs.task.events import Outcome
+from owm_envs.testing.expect import alike, expect, outline
 from owm_envs.view import VIEW_SIZE, View
 
 _STEPS = 20
@@ -93,85 +92,6 @@ def check_env(subject: Dynamics | DockingEnv | gymnasium.Env | str, **overrides:
         check(adapter)
 
 
-def check_policy(
-    policy: Any,
-    env: Any = "ISS-v0",
-    *,
-    slots: int | None = None,
-    ports: Sequence[str | int] = ("zvezda_aft", "harmony_forward"),
-) -> None:
-    """Check that a policy can fly a batch of slots as `owm fly` and `owm evaluate docking` have it fly.
-
-    It needs `reset(mask, ports)` and `predict(observation, state, episode_start, deterministic)`, which returns actions
-    and a state. In this order: the interface; shape, type and numbers of the actions; that observations are left as
-    they are; the same state, the same actions, or, of a policy that returns None, the same episode, the same actions;
-    and that a slot that begins anew leaves the others alone.
-
-    Args:
-        policy: the object, not its class.
-        env: to fly in: an id, a `DockingEnv`, its configuration, or a Gymnasium environment over one.
-        slots: flights side by side; the policy's `num_slots`, or two.
-        ports: to fly to, of which the slots take turns.
-
-    Raises:
-        AssertionError: naming the check that failed, what was expected and what came, on one line.
-    """
-    from owm_envs.adapters.gymnasium import DockingVectorEnv
-
-    kind = type(policy).__name__
-    _expect(not inspect.isclass(policy), "interface", "an object, made with its class", f"the class {policy!r}")
-    for name, given in (("reset", "mask, ports"), ("predict", "observation, state, episode_start, deterministic")):
-        function = getattr(policy, name, None)
-        _expect(callable(function), "interface", f"{name}({given})", f"{kind}, which lacks it")
-        try:
-            inspect.signature(function).bind(*given.split(", "))
-        except (TypeError, ValueError) as error:
-            raise AssertionError(f"interface: expected {name}({given}), got {kind}'s, which says: {error}") from None
-    pure = gymnasium.make(env).unwrapped.docking_env if isinstance(env, str) else docking_env(env)
-    slots = (getattr(policy, "num_slots", None) or 2) if slots is None else slots
-    index = port_indices(np.resize(port_indices(ports), slots))
-    flown = DockingVectorEnv(
-        slots, pure.config, dynamics=pure.dynamics, sensors=pure.sensors[1:], autoreset_mode="disabled"
-    )
-    first, _ = flown.reset(seed=0, options={"dock_port": index.tolist()})
-    every, none = np.ones(slots, bool), np.zeros(slots, bool)
-
-    def act(observation, state, start) -> tuple[np.ndarray, Any]:
-        given = jax.tree.map(np.copy, observation)
-        answer = policy.predict(given, state, start, True)
-        paired = isinstance(answer, tuple) and len(answer) == 2
-        _expect(paired, "types", "predict to return actions and a state", type(answer).__name__)
-        action = np.asarray(answer[0])
-        _expect(action.shape == (slots, 6), "shapes", f"actions of shape ({slots}, 6)", action.shape)
-        _expect(action.dtype.kind == "f", "types", "actions of floats", action.dtype)
-        _expect(np.isfinite(action).all(), "finite numbers", "finite actions", action.tolist())
-        same = _alike(given, observation)
-        _expect(same, "nothing is changed in place", "predict to leave the observation as it is", "another one")
-        return action.copy(), answer[1]
-
-    policy.reset(every, index)
-    begun, state = act(first, None, every)
-    second = flown.step(begun)[0]
-    action, _ = act(second, state, none)
-    if state is None:
-        policy.reset(every, index)
-        again, check = act(first, None, every)[0], "the same episode, the same actions"
-        _expect(np.allclose(again, begun, rtol=1e-5), check, f"{begun.tolist()} after another reset", again.tolist())
-    else:
-        again, check = act(second, state, none)[0], "the same state, the same actions"
-        _expect(np.allclose(again, action, rtol=1e-5), check, action.tolist(), again.tolist())
-        policy.reset(np.arange(slots) == 0, index)
-        beside = act(second, state, none)[0]
-        alone = np.allclose(beside[1:], action[1:], rtol=1e-5)
-        _expect(alone, "slots by themselves", f"{action[1:].tolist()} beside a reset", beside[1:].tolist())
-    flown.close()
-
-
-def _expect(passed: Any, check: str, expected: str, came: Any) -> None:
-    if not bool(passed):
-        raise AssertionError(" ".join(f"{check}: expected {expected}, got {came}".split()))
-
-
 def _docking_env(subject: Any, overrides: dict[str, Any]) -> DockingEnv:
     if isinstance(subject, str):
         return gymnasium.make(subject, **overrides).unwrapped.docking_env
@@ -215,17 +135,17 @@ def _trial(env: DockingEnv) -> _Trial:
 def _check_types(env: DockingEnv) -> None:
     """By abstract evaluation: nothing is compiled."""
     dynamics = env.dynamics
-    _expect(isinstance(dynamics.has_epoch, bool), "interface", "has_epoch to be a bool", repr(dynamics.has_epoch))
+    expect(isinstance(dynamics.has_epoch, bool), "interface", "has_epoch to be a bool", repr(dynamics.has_epoch))
     for dtype in (jnp.float64, jnp.float32):
         params, epoch, view, wrench = _arguments(env, dtype)
 
         def advance(state, params=params, wrench=wrench):
             return dynamics.step(params, state, wrench, params.dt)
 
-        state = _abstract("init", dynamics.init, params, epoch, view)
-        _expect(isinstance(state, PhysicalState), "types", "init to return a PhysicalState", type(state).__name__)
-        after = _abstract("step", advance, state)
-        _expect(
+        state = outline("init", dynamics.init, params, epoch, view)
+        expect(isinstance(state, PhysicalState), "types", "init to return a PhysicalState", type(state).__name__)
+        after = outline("step", advance, state)
+        expect(
             jax.tree.structure(after) == jax.tree.structure(state),
             "types",
             "step to return a state of the same structure",
@@ -233,27 +153,20 @@ def _check_types(env: DockingEnv) -> None:
         )
         for (path, old), new in zip(jax.tree.leaves_with_path(state), jax.tree.leaves(after)):
             name = jax.tree_util.keystr(path)
-            _expect(
+            expect(
                 new.shape == old.shape, "types", f"step to keep the shape {old.shape} of the state's {name}", new.shape
             )
-            _expect(
+            expect(
                 old.dtype == new.dtype == dtype,
                 "dtype follows the inputs",
                 f"{np.dtype(dtype)} from init and step for the state's {name}, as the inputs are",
                 f"{old.dtype} and {new.dtype}",
             )
-        seen = _abstract("relative_state", dynamics.relative_state, params, state)
-        _expect(seen.shape == (VIEW_SIZE,), "types", f"relative_state to be of shape {(VIEW_SIZE,)}", seen.shape)
-        _expect(
+        seen = outline("relative_state", dynamics.relative_state, params, state)
+        expect(seen.shape == (VIEW_SIZE,), "types", f"relative_state to be of shape {(VIEW_SIZE,)}", seen.shape)
+        expect(
             seen.dtype == dtype, "dtype follows the inputs", f"{np.dtype(dtype)} from relative_state", f"{seen.dtype}"
         )
-
-
-def _abstract(name: str, function: Callable, *args) -> Any:
-    try:
-        return jax.eval_shape(function, *args)
-    except jax.errors.JAXTypeError as error:  # Python's `if`, `float()` or NumPy on a traced value
-        raise AssertionError(f"jit: expected {name} to be traceable, got {str(error).splitlines()[0]}") from error
 
 
 def _check_traces_and_jit(trial: _Trial) -> None:
@@ -263,7 +176,7 @@ def _check_traces_and_jit(trial: _Trial) -> None:
             state = trial.step(trial.params, state, case.wrench, trial.params.dt)
         trial.view(trial.params, state)
     for name, count in trial.traces.items():
-        _expect(count == 1, "one trace per shape", f"{name} to be traced once for inputs of one shape and type", count)
+        expect(count == 1, "one trace per shape", f"{name} to be traced once for inputs of one shape and type", count)
 
     case = trial.cases[0]
     dynamics, params = trial.dynamics, trial.params
@@ -280,7 +193,7 @@ def _expect_alike(came: Array, expected: Array, tolerance: float, check: str, wh
     sign = np.asarray(quat_sign(came.attitude, expected.attitude))[..., None]
     came = came._replace(attitude=came.attitude * sign)
     for part, ours, theirs in zip(View._fields, came, expected):
-        _expect(np.max(np.abs(ours - theirs)) <= tolerance, check, f"{part} {theirs}{where}", ours)
+        expect(np.max(np.abs(ours - theirs)) <= tolerance, check, f"{part} {theirs}{where}", ours)
 
 
 def _check_init(trial: _Trial) -> None:
@@ -305,7 +218,7 @@ def _check_flight(trial: _Trial) -> None:
     for case in trial.cases:
         states = list(_fly(trial, case))
         views = np.stack([trial.view(trial.params, state) for state in states])
-        _expect(np.isfinite(views).all(), "finite numbers", f"a flight {case.name} of finite numbers", views)
+        expect(np.isfinite(views).all(), "finite numbers", f"a flight {case.name} of finite numbers", views)
         _check_clocks(trial, case, states)
         _check_attitude(trial, case, views)
         flights.append(views)
@@ -326,16 +239,16 @@ def _check_clocks(trial: _Trial, case: _Case, states: list[PhysicalState]) -> No
     seconds = np.array([state.elapsed for state in states])
     expected = float(trial.params.dt) * np.arange(len(states))
     ticks = np.allclose(seconds, expected, rtol=0, atol=trial.tolerance)
-    _expect(ticks, "clocks", f"elapsed to advance by dt, to {expected[-1]:g} s {case.name}", f"{seconds[-1]:g} s")
+    expect(ticks, "clocks", f"elapsed to advance by dt, to {expected[-1]:g} s {case.name}", f"{seconds[-1]:g} s")
     kept = np.array_equal(states[-1].epoch, states[0].epoch)
-    _expect(kept, "clocks", "the epoch to stay that of the start", f"{states[-1].epoch} after {states[0].epoch}")
+    expect(kept, "clocks", "the epoch to stay that of the start", f"{states[-1].epoch} after {states[0].epoch}")
 
 
 def _check_attitude(trial: _Trial, case: _Case, views: np.ndarray) -> None:
     lengths = np.linalg.norm(View.of(views).attitude, axis=1)
     worst = lengths[np.argmax(np.abs(lengths - 1))]
     unit = abs(worst - 1) <= trial.tolerance
-    _expect(unit, "unit quaternion", f"an attitude of length 1 {case.name}", f"{worst:.9f}")
+    expect(unit, "unit quaternion", f"an attitude of length 1 {case.name}", f"{worst:.9f}")
 
 
 class _Motion(NamedTuple):
@@ -356,13 +269,13 @@ def _check_kinematics(trial: _Trial) -> None:
         dt = float(trial.params.dt)
         long, short = _motion(trial, case, dt), _motion(trial, case, dt / 4)
         rounding = trial.tolerance / (dt / 4)
-        _expect(
+        expect(
             short.off <= max(long.off / 2, rounding),
             "velocity is the derivative of position",
             f"a position that moves at {short.velocity} m/s {case.name}",
             f"{short.moved} m/s",
         )
-        _expect(
+        expect(
             short.turned_off <= max(long.turned_off / 2, rounding),
             "rate is the derivative of attitude",
             f"an attitude that turns at {short.rate} rad/s (body axes) {case.name}",
@@ -393,7 +306,7 @@ def _check_gradients(trial: _Trial) -> None:
         for path, slope in jax.tree.leaves_with_path(named):
             if slope.dtype != jax.dtypes.float0:
                 name = jax.tree_util.keystr(path)
-                _expect(
+                expect(
                     jnp.isfinite(slope).all(),
                     "finite gradients",
                     f"a finite gradient of one step with respect to {name} {case.name}",
@@ -403,12 +316,8 @@ def _check_gradients(trial: _Trial) -> None:
 
 def _check_keys(adapter: gymnasium.Env) -> None:
     (first, _), (again, _), (other, _) = (adapter.reset(seed=seed) for seed in (0, 0, 1))
-    _expect(_alike(first, again), "the same seed, the same episode", f"{first}", again)
-    _expect(not _alike(first, other), "another seed, another episode", "another start", other)
-
-
-def _alike(one: Any, other: Any) -> bool:
-    return jax.tree.all(jax.tree.map(np.array_equal, one, other))
+    expect(alike(first, again), "the same seed, the same episode", f"{first}", again)
+    expect(not alike(first, other), "another seed, another episode", "another start", other)
 
 
 def _check_actions(adapter: gymnasium.Env) -> None:
@@ -417,7 +326,7 @@ def _check_actions(adapter: gymnasium.Env) -> None:
         adapter.reset(seed=0)
         for _ in range(_STEPS):
             observation, reward, terminated, truncated, info = adapter.step(np.full(6, value))
-            _expect(
+            expect(
                 info["outcome"] != Outcome.DIVERGED,
                 "extreme actions",
                 f"dynamics that stay finite under actions {value:g}",
@@ -425,7 +334,7 @@ def _check_actions(adapter: gymnasium.Env) -> None:
             )
             for name, number in {"observation": observation, "reward": reward, **info}.items():
                 finite = all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(number))
-                _expect(finite, "extreme actions", f"a finite {name} under actions {value:g}", number)
+                expect(finite, "extreme actions", f"a finite {name} under actions {value:g}", number)
             if terminated or truncated:
                 break
 
