@@ -11,7 +11,7 @@ from astrojax.attitude import quat_conjugate, quat_rotate
 from owm_envs.field import GeodesicField, clearance, cost_to_go, field_rows, load_field
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of, limit_norm, read_view
 from owm_envs.task.events import safe_norm
-from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.observation import Observation, ObservationLayout
 from owm_envs.view import View
 
 _STATIC = {"static": True}
@@ -47,7 +47,7 @@ class DockGeodesicPolicy:
         """State: the port."""
         return jnp.asarray(port, jnp.int32)
 
-    def act(self, state: Int[Array, ""], observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Int[Array, ""]]:
+    def act(self, state: Int[Array, ""], observation: Observation) -> tuple[Float[Array, "6"], Int[Array, ""]]:
         """Track the field's velocity."""
         view = read_view(self.layout, observation)
         accel, angular = _track(self.field, self.rows, state, view)
@@ -82,7 +82,7 @@ class DockGeodesicIntegralPolicy:
         """State: nothing added up."""
         return Integral(jnp.asarray(port, jnp.int32), jnp.zeros(3, jnp.float32), jnp.zeros(3, jnp.float32))
 
-    def act(self, state: Integral, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Integral]:
+    def act(self, state: Integral, observation: Observation) -> tuple[Float[Array, "6"], Integral]:
         """Track the field's velocity with what has been added up."""
         view = read_view(self.layout, observation)
         dtype, vehicle = view.position.dtype, self.vehicle

@@ -22,7 +22,7 @@ from owm_envs.policies.base import (
     wrench_limits,
 )
 from owm_envs.task.events import safe_norm
-from owm_envs.task.observation import ObservationLayout, part
+from owm_envs.task.observation import Observation, ObservationLayout, part
 from owm_envs.task.reset import named_key
 from owm_envs.task.sensors import STATE
 
@@ -42,7 +42,7 @@ class RandomPolicy:
         """State: the key of the next draw."""
         return key
 
-    def act(self, state: Key[Array, ""], observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Key[Array, ""]]:
+    def act(self, state: Key[Array, ""], observation: Observation) -> tuple[Float[Array, "6"], Key[Array, ""]]:
         """Draw an action."""
         next_key, key = jax.random.split(state)
         dtype = part(observation, STATE).dtype
@@ -83,7 +83,7 @@ class ExcitePolicy:
         amplitude = jnp.stack([force] * 3 + [torque] * 3)
         return HoldState(named_key(key, "draws"), jnp.zeros((), jnp.int32), jnp.zeros(6, dtype), amplitude)
 
-    def act(self, state: HoldState, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], HoldState]:
+    def act(self, state: HoldState, observation: Observation) -> tuple[Float[Array, "6"], HoldState]:
         """Hold, or draw anew."""
         view = read_view(self.layout, observation)
         dtype = view.position.dtype
@@ -132,7 +132,7 @@ class OrbitPolicy:
         unit = axis / jnp.maximum(safe_norm(axis), 1e-9)
         return OrbitState(unit, radius, rate, jnp.zeros(3, dtype), jnp.zeros((), jnp.int32))
 
-    def act(self, state: OrbitState, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], OrbitState]:
+    def act(self, state: OrbitState, observation: Observation) -> tuple[Float[Array, "6"], OrbitState]:
         """Follow the circle."""
         view = read_view(self.layout, observation)
         axis = state.axis
@@ -174,7 +174,7 @@ class DockPolicy:
         """State: the port."""
         return jnp.asarray(port, jnp.int32)
 
-    def act(self, state: Int[Array, ""], observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], Int[Array, ""]]:
+    def act(self, state: Int[Array, ""], observation: Observation) -> tuple[Float[Array, "6"], Int[Array, ""]]:
         """Pull towards the hold pose."""
         view = read_view(self.layout, observation)
         position, attitude = goal_of(state, view.position.dtype)

@@ -15,7 +15,7 @@ from owm.planning.mpc import Corridor, Tracking, solve, tracking
 from owm_envs.env import DockingEnv
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of
 from owm_envs.task.events import safe_norm
-from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.observation import Observation, ObservationLayout
 from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
 
@@ -114,7 +114,7 @@ class ClassicalPolicy:
             accelerations=jnp.zeros((steps, 3), jnp.float32),
         )
 
-    def act(self, state: ClassicalState, observation: Float[Array, "O"]) -> tuple[Float[Array, "6"], ClassicalState]:
+    def act(self, state: ClassicalState, observation: Observation) -> tuple[Float[Array, "6"], ClassicalState]:
         """Filter the measurement and take the first step of a new solution."""
         measured = self.layout.measured_view(observation)
         first = self.ekf.init(self.params, measured)

@@ -178,9 +178,10 @@ class PlannerPolicy(SlotPolicy):
             # taken for the action's work.
             telling = slots.active & ~slots.fresh & ((state.index > 1) | (self.config.latency > 0))
             known = jax.device_get(_learn(self._learner, known, telling, before, executed, continuous))
+        latest = seen | {STATE: continuous}
         longer = state._replace(
             observation={
-                name: np.concatenate([held, (seen | {STATE: continuous})[name][:, None]], axis=1)[:, 1:]
+                name: np.concatenate([held, latest[name][:, None]], axis=1)[:, 1:]
                 for name, held in state.observation.items()
             },
             action=np.concatenate([state.action, executed[:, None]], axis=1)[:, 1:],
