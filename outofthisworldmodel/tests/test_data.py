@@ -91,6 +91,7 @@ def test_bad_recordings_are_refused():
     short = good.observation["state"][:, :12]
     for change, message in (
         ({"observation": {"state": short}, "true_state": short}, r"state part must be \(T \+ 1, 13\)"),
+        ({"observation": {"range": short}}, r"state part must be \(T \+ 1, 13\), got \(0,\)"),
         ({"action": good.action[:20]}, r"action must be \(30, 6\), got \(20, 6\)"),
         ({"action": good.action * np.nan}, "must be finite"),
     ):

@@ -156,7 +156,7 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
     tracks = 0
     for number, episode in enumerate(episodes):
         parts = {name: np.asarray(values) for name, values in episode.observation.items()}
-        seen = parts.pop(STATE)
+        seen = parts.pop(STATE, np.zeros(0))
         act = np.asarray(episode.action)
         true = getattr(episode, "true_state", None)
         true = seen if true is None else np.asarray(true)
