@@ -1,0 +1,1 @@
+"""The camera: light, sky and station as pixels, in pure JAX."""
