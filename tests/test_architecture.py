@@ -14,7 +14,7 @@ FLOORS = {
         {"shell", "station", "claims"},
         {"config"},
         {"dynamics"},
-        {"task"},
+        {"task", "camera"},
         {"env"},
         {"field", "episode"},
         {"policies", "render"},

@@ -7,7 +7,7 @@ from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multip
 from astrojax.constants import GM_EARTH
 from astrojax.relative import stm_hcw
 from owm_envs.config import FIDELITIES
-from owm_envs.dynamics.numerical import RTN_TO_STATION
+from owm_envs.dynamics import RTN_TO_STATION
 from owm_envs.view import View
 
 VIEW = np.array([30.0, -40.0, 20.0, 0.3, -0.2, 0.1, 0.5, 0.5, -0.5, 0.5, 0.004, -0.003, 0.002])

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from astrojax._types import FloatScalar, Scalar, Vector6, cross, dot, float_dtype, inverse_norm, safe_sqrt
-from astrojax.constants import GM_EARTH
+from astrojax.constants import GM_EARTH, J2, R_EARTH
 
 _TWO_PI = 6.283185307179586
 _KEPLER_STEPS = 5
@@ -63,6 +63,30 @@ def propagate_keplerian(elements: Vector6, dt: Scalar, gm: Scalar = GM_EARTH) ->
     """
     anomaly = elements[5] + mean_motion(elements[0], gm) * dt
     return elements.at[5].set(anomaly - _TWO_PI * jnp.floor(anomaly / _TWO_PI))
+
+
+def secular_rates_j2(elements: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
+    """Mean rates by which the Earth's oblateness turns an orbit: zero, zero, zero, node, perigee, anomaly [rad/s].
+
+    The last is what J2 adds to the mean motion.
+
+    Args:
+        elements: (6,) mean [a, e, i, raan, argp, M], m and rad; 0 <= e < 1.
+
+    Validity: first order in J2, averaged over a revolution. Osculating elements differ from mean ones by 1e-3 or so,
+    and the rates in proportion.
+
+    Source: Vallado, Fundamentals of Astrodynamics and Applications, 4th ed., sec. 9.6.1.
+    """
+    a, e, cos_i = elements[0], elements[1], jnp.cos(elements[2])
+    shape = (1.0 - e) * (1.0 + e)
+    ratio = R_EARTH / (a * shape)
+    scale = 0.75 * J2 * mean_motion(a, gm) * ratio * ratio
+    node = -2.0 * scale * cos_i
+    perigee = scale * (5.0 * cos_i * cos_i - 1.0)
+    anomaly = scale * jnp.sqrt(shape) * (3.0 * cos_i * cos_i - 1.0)
+    zero = jnp.zeros_like(node)
+    return jnp.stack([zero, zero, zero, node, perigee, anomaly])
 
 
 def keplerian_to_cartesian(elements: Vector6, gm: Scalar = GM_EARTH) -> Vector6:

@@ -17,6 +17,8 @@ class ChiefParams(NamedTuple):
 
     epoch: Float[Array, "2"]
     elements: Float[Array, "6"]
+    drift: Float[Array, ""]
+    """1 to let J2 turn the orbit from `epoch` to an episode's start, 0 for the same ellipse ever after."""
     mass: Float[Array, ""]
     drag_area: Float[Array, ""]
     drag_coefficient: Float[Array, ""]
@@ -150,6 +152,7 @@ def params_from_config(config: DockingConfig) -> Params:
         chief=ChiefParams(
             epoch=real(mjd_from_calendar(chief.reference_epoch)),
             elements=real([chief.semi_major_axis, chief.eccentricity, *angles]),
+            drift=real(chief.secular_drift),
             mass=real(chief.mass),
             drag_area=real(chief.drag_area),
             drag_coefficient=real(chief.drag_coefficient),

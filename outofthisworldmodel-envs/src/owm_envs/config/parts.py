@@ -163,6 +163,9 @@ class ChiefConfig(Frozen):
     raan_deg: Degrees = 0.0
     argument_of_perigee_deg: Degrees = 0.0
     mean_anomaly_deg: Degrees = 0.0
+    secular_drift: bool = True
+    """Node, perigee and mean anomaly drift at their mean rates under J2 from the reference epoch to an episode's
+    start, so that the angle between Sun and orbit changes over the window of epochs."""
     mass: Annotated[Positive, unit("kg")] = 419_700.0
     drag_area: Annotated[NonNegative, unit("m2")] = 1500.0
     drag_coefficient: Annotated[NonNegative, unit("1")] = 2.2

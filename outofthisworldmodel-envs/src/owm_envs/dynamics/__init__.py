@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from owm_envs.config import DockingConfig
 from owm_envs.config.params import Params
+from owm_envs.dynamics.chief import RTN_TO_STATION, station_orbit
 from owm_envs.dynamics.free_flyer import FreeFlyer
 from owm_envs.dynamics.hcw import HillClohessyWiltshire
 from owm_envs.dynamics.numerical import NumericalOrbits
@@ -54,4 +55,12 @@ def require_dynamics(candidate: object) -> None:
     require_parts("dynamics", "a Dynamics (owm_envs.dynamics)", candidate, names)
 
 
-__all__ = ["DYNAMICS", "Dynamics", "PhysicalState", "VehicleState", "require_dynamics"]
+__all__ = [
+    "DYNAMICS",
+    "RTN_TO_STATION",
+    "Dynamics",
+    "PhysicalState",
+    "VehicleState",
+    "require_dynamics",
+    "station_orbit",
+]

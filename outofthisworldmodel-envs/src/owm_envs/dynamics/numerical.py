@@ -11,7 +11,6 @@ from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from astrojax.attitude import (
@@ -32,17 +31,15 @@ from astrojax.dynamics import (
     accel_relative,
     celestial_bodies,
 )
-from astrojax.elements import keplerian_to_cartesian, propagate_keplerian
+from astrojax.elements import keplerian_to_cartesian
 from astrojax.gravity import accel_zonal
 from astrojax.integrators import compensated_add, rk4_increment_looped
 from astrojax.relative import rotation_eci_to_rtn, rtn_rate
 from astrojax.time import normalize_epoch
 from owm_envs.config.params import Params
+from owm_envs.dynamics.chief import RTN_TO_STATION, elements_at
 from owm_envs.dynamics.state import PhysicalState, VehicleState
 from owm_envs.view import View
-
-RTN_TO_STATION = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Station axes x = N, y = -T, z = R."""
 
 
 class _Frame(NamedTuple):
@@ -79,9 +76,7 @@ class NumericalOrbits:
 
     def init(self, params: Params, epoch: Float[Array, "2"], view: Float[Array, "13"]) -> PhysicalState:
         """State with the relative view `view` (13,) at `epoch` (2,); the chief has come there on its Kepler orbit."""
-        since = (epoch[0] - params.chief.epoch[0]) * 86_400.0 + (epoch[1] - params.chief.epoch[1])
-        elements = propagate_keplerian(params.chief.elements, since, GM_EARTH)
-        chief = keplerian_to_cartesian(elements, GM_EARTH)
+        chief = keplerian_to_cartesian(elements_at(params.chief, epoch), GM_EARTH)
         frame = self._frame(chief)
         to_eci = frame.rotation.T
         seen = View.of(view)
@@ -133,6 +128,10 @@ class NumericalOrbits:
                 accel_euler(chaser.rate, inertia, torque),
             ),
         )
+
+    def chief_orbit(self, params: Params, state: PhysicalState) -> Float[Array, "6"]:
+        """The station's position and velocity [m, m/s] in inertial axes."""
+        return state.chief
 
     def relative_state(self, params: Params, state: PhysicalState) -> Float[Array, "13"]:
         """The 13-number relative view of a state."""
