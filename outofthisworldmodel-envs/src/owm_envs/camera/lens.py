@@ -29,8 +29,6 @@ class Camera:
     """Of the picture's height: an angle [rad] in perspective, a length [m] if orthographic."""
     exposure: Float[Array, ""]
     """Stops; at 0 a white plane that faces the Sun is just not clipped."""
-    metering: Float[Array, ""]
-    """How far the exposure follows the light on the station: 0 stays, 1 follows it all the way into the night."""
     height: int = dataclasses.field(metadata={"static": True})
     width: int = dataclasses.field(metadata={"static": True})
     mount: Literal["chaser", "station"] = dataclasses.field(metadata={"static": True}, default="chaser")

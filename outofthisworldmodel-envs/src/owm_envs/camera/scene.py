@@ -3,9 +3,12 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from astrojax.attitude import quat_to_rotation
+from owm_envs.camera.light import Heavens
+from owm_envs.camera.shade import Light, default_light
 from owm_envs.camera.solids import Solids, joined, moved, solids
 from owm_envs.camera.surface import MATERIAL_NAMES, Materials, materials
 from owm_envs.station.chaser import CHASER
@@ -31,6 +34,8 @@ class Scene(NamedTuple):
     """In its body frame; visitors look alike."""
     visitors: Visitors
     materials: Materials
+    light: Light
+    heavens: Heavens
 
 
 def default_scene(visitors: int = 0) -> Scene:
@@ -45,7 +50,24 @@ def default_scene(visitors: int = 0) -> Scene:
         jnp.zeros(visitors, bool),
     )
     station, chaser = solids(PARTS, MATERIAL_NAMES), solids(CHASER, MATERIAL_NAMES)
-    return Scene(station, chaser, nobody, materials())
+    return Scene(station, chaser, nobody, materials(), default_light(), noon())
+
+
+def noon() -> Heavens:
+    """Give heavens to draw by when no epoch is given: the Sun from forward, starboard and above."""
+    number = lambda value: jnp.asarray(value, jnp.float32)
+    sun = np.array([-0.66, -0.56, 0.50])
+    turn = np.eye(3)
+    return Heavens(
+        sun=number(sun / np.linalg.norm(sun)),
+        sun_radius=number(0.00465),
+        sunlight=number(1.0),
+        moon=number([1.0, 0.0, 0.0]),
+        moon_radius=number(0.0045),
+        earth=number([0.0, 0.0, -6.78e6]),
+        earth_from_station=number(turn),
+        icrf_from_station=number(turn),
+    )
 
 
 def assembled(scene: Scene, view: View) -> Solids:

@@ -8,21 +8,41 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt8
 
+from astrojax.constants import R_EARTH
+from owm_envs.camera.light import Heavens
 from owm_envs.camera.surface import Look
 from owm_envs.camera.vectors import Vector, dot, plus, unit
 
 _EARTH_TINT = (0.86, 0.94, 1.0)
 
 
+class Light(NamedTuple):
+    """How bright everything shines, to be chosen or drawn."""
+
+    sun: Float[Array, ""]
+    """Of its true brightness."""
+    earth: Float[Array, ""]
+    """Share of sunlight that the Earth throws back."""
+    bounce: Float[Array, ""]
+    """Share of sunlight that comes from all sides, off the station's own parts."""
+    lamp: Float[Array, ""]
+    """Radiance of a white plane 10 m before a lamp at the camera."""
+
+
+def default_light() -> Light:
+    """Give the light of a clear day in orbit, and a small lamp."""
+    return Light(*(jnp.asarray(number, jnp.float32) for number in (1.0, 0.3, 0.04, 0.5)))
+
+
 class Lights(NamedTuple):
-    """What lights the station, in the station frame."""
+    """What lights the station at an instant, in the station frame."""
 
     sun: Float[Array, "3"]
     """Unit vector towards the Sun."""
     sunlight: Float[Array, ""]
-    """Share of the Sun's disc in sight."""
+    """Radiance of a white plane that faces it."""
     down: Float[Array, "3"]
     """Unit vector towards the middle of the Earth."""
     earth_sine: Float[Array, ""]
@@ -30,9 +50,21 @@ class Lights(NamedTuple):
     earthshine: Float[Array, ""]
     """Radiance of the Earth below."""
     bounce: Float[Array, ""]
-    """Radiance from all sides of what the station's own parts throw back."""
+    """Radiance of what the station's own parts throw back, from all sides."""
     lamp: Float[Array, ""]
-    """Radiance of a white plane 10 m before a lamp at the camera."""
+    """As of `Light`."""
+
+
+def lights(light: Light, heavens: Heavens) -> Lights:
+    """Give what lights the station, from where everything stands."""
+    distance = jnp.sqrt((heavens.earth * heavens.earth).sum())
+    down = heavens.earth / distance
+    sunlight = light.sun * heavens.sunlight
+    # The half of the Earth that lies in the sight of the station turns from the Sun only gradually.
+    height = -(down * heavens.sun).sum()
+    day = 0.5 * (height + jnp.sqrt(height * height + 0.02))
+    earthshine = light.sun * light.earth * day
+    return Lights(heavens.sun, sunlight, down, R_EARTH / distance, earthshine, light.bounce * sunlight, light.lamp)
 
 
 def _gloss(look: Look, normal: Vector, to_eye: Vector, to_light: Vector, facing: Array) -> tuple[Array, Array]:
@@ -43,14 +75,14 @@ def _gloss(look: Look, normal: Vector, to_eye: Vector, to_light: Vector, facing:
     alpha2 = jnp.maximum(look.roughness, 0.06) ** 4
     tilt = jnp.maximum(dot(normal, half), 0.0)
     lobe = alpha2 / (tilt * tilt * (alpha2 - 1.0) + 1.0) ** 2
-    masking = 0.5 / (light * jnp.sqrt(eye * eye * (1.0 - alpha2) + alpha2) + eye * jnp.sqrt(light * light * (1.0 - alpha2) + alpha2))
+    masking = 0.5 / (
+        light * jnp.sqrt(eye * eye * (1.0 - alpha2) + alpha2) + eye * jnp.sqrt(light * light * (1.0 - alpha2) + alpha2)
+    )
     base = 1.0 - jnp.maximum(dot(to_eye, half), 0.0)
     return lobe * masking, (base * base) ** 2 * base
 
 
-def radiance(
-    lights: Lights, look: Look, normal: Vector, to_eye: Vector, distance: Array, lit: Array
-) -> Vector:
+def radiance(lights: Lights, look: Look, normal: Vector, to_eye: Vector, distance: Array, lit: Array) -> Vector:
     """Give what a surface sends towards the eye, red, green and blue.
 
     Args:
@@ -96,7 +128,7 @@ def developed(light: Array) -> Array:
     return jnp.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0.0, 1.0)
 
 
-def encoded(light: Array) -> Array:
-    """Give display light, 0 to 1, as sRGB numbers, 0 to 255. Source: IEC 61966-2-1."""
+def encoded(light: Float[Array, "..."]) -> UInt8[Array, "..."]:
+    """Give display light, 0 to 1, as sRGB. Source: IEC 61966-2-1."""
     powered = jnp.exp(jnp.log(jnp.maximum(light, 0.0031308)) / 2.4)
-    return 255.0 * jnp.where(light <= 0.0031308, 12.92 * light, 1.055 * powered - 0.055)
+    return jnp.round(255.0 * jnp.where(light <= 0.0031308, 12.92 * light, 1.055 * powered - 0.055)).astype(jnp.uint8)

@@ -134,4 +134,6 @@ def crossing(start: Vector, way: Vector, half: Vector, quadric: tuple[Array, Arr
     stern = jnp.where(closed, second, jnp.where(early & real, second, FAR))
     enter, leave = jnp.maximum(near, bow), jnp.minimum(far, stern)
     missed = (closed & ~real) | ((k == 0) & (inside > 0))
-    return Crossing(enter + middle, jnp.where(missed, -FAR, leave + middle), tuple(s + middle for s in slabs), bow + middle)
+    return Crossing(
+        enter + middle, jnp.where(missed, -FAR, leave + middle), tuple(s + middle for s in slabs), bow + middle
+    )

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from owm_envs.camera.solids import FAR, Solids, crossing
-from owm_envs.camera.vectors import Vector, components, onto
+from owm_envs.camera.vectors import Vector, onto
 
 SIDE = 8
 """Pixels along the side of a tile."""
@@ -24,7 +24,7 @@ LANES = SIDE * SIDE
 _WORD = 32
 
 Words = UInt32[Array, "T W"]
-"""A tile's candidates: bit i of word w stands for solid 32 w + i."""
+"""The candidates of each tile: bit i of word w stands for solid 32 w + i."""
 
 
 class Bounds(NamedTuple):
@@ -89,27 +89,24 @@ def columns_and_rows(
     return both.reshape(-1, both.shape[-1])
 
 
-def between(solids: Solids, towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "T L"], chunk: int) -> Words:
-    """Give what may stand between the points of each tile and a far light.
+def between(
+    solids: Solids, towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "L"]
+) -> UInt32[Array, "W"]:
+    """Give what may stand between the points of one tile and a far light.
 
     Args:
         towards: two directions across the light's and that of the light itself, as rows.
-        points: (T, L) [m].
-        active: (T, L) which points count; a tile without any has no candidate.
+        points: (L,) [m].
+        active: (L,) which points count; without any there is no candidate.
     """
     least, most = bounds(solids, towards)
-
-    def tile(lanes):
-        points, active = lanes
-        mask = solids.present & active.any()
-        for axis in range(3):
-            place = sum(towards[axis, j] * points[j] for j in range(3))
-            mask = mask & (most[axis] >= jnp.where(active, place, FAR).min())
-            if axis < 2:
-                mask = mask & (least[axis] <= jnp.where(active, place, -FAR).max())
-        return packed(mask[None, :])[0]
-
-    return jax.lax.map(tile, (points, active), batch_size=chunk)
+    mask = solids.present & active.any()
+    for axis in range(3):
+        place = sum(towards[axis, j] * points[j] for j in range(3))
+        mask = mask & (most[axis] >= jnp.where(active, place, FAR).min())
+        if axis < 2:
+            mask = mask & (least[axis] <= jnp.where(active, place, -FAR).max())
+    return packed(mask[None, :])[0]
 
 
 def _nth(words: UInt32[Array, "B W"], upto: Int[Array, "B W"], n: Int[Array, "B"]) -> Int[Array, "B"]:

@@ -1,9 +1,8 @@
 """Vectors of many rays as three arrays, x, y and z: arithmetic on whole lanes, which compilers like best."""
 
-from jaxtyping import Array, Float
-
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 Vector = tuple[Array, Array, Array]
 """Components; they broadcast against one another."""
