@@ -15,6 +15,7 @@ import numpy as np
 
 ASSETS = Path(__file__).parents[1] / "src/owm_envs/camera/assets"
 WIDTH, HEIGHT = 4096, 2048
+"""Of clouds and lights; the ground keeps the photograph's 5400 by 2700."""
 QUALITY = 82
 FAINTEST = 5.2
 """Magnitude of the last star."""
@@ -37,12 +38,15 @@ def main(data: Path) -> None:
 
 def save(name: str, image: np.ndarray) -> None:
     """Write a map of values in [0, 1]; three channels are BGR."""
-    cv2.imwrite(str(ASSETS / name), np.round(np.clip(image, 0, 1) * 255).astype(np.uint8),
-                [cv2.IMWRITE_JPEG_QUALITY, QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
+    cv2.imwrite(
+        str(ASSETS / name),
+        np.round(np.clip(image, 0, 1) * 255).astype(np.uint8),
+        [cv2.IMWRITE_JPEG_QUALITY, QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1],
+    )
 
 
-def shrink(image: np.ndarray) -> np.ndarray:
-    return cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+def resized(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
@@ -56,21 +60,21 @@ def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
 def water_mask(data: Path, bmng: np.ndarray) -> np.ndarray:
     """Share of water: the sea of the land mask, and lakes where the photograph is blue or black."""
     sea = np.load(data / "global_land_mask/globe_combined_mask_compressed.npz")["mask"]
-    sea = shrink(sea.astype(np.uint8) * 255).astype(np.float32) / 255
+    sea = resized(sea.astype(np.uint8) * 255, *bmng.shape[1::-1]).astype(np.float32) / 255
     blue, green, red = np.moveaxis(bmng.astype(np.float32), -1, 0)
     lake = (blue > 1.25 * red) & (blue > green)
-    lake = shrink((lake * 255).astype(np.uint8)).astype(np.float32) / 255
-    return np.maximum(sea, smoothstep(0.3, 0.8, lake))
+    return np.maximum(sea, cv2.GaussianBlur(lake.astype(np.float32), (0, 0), 0.6))
 
 
 def land_and_sea(bmng: np.ndarray, water: np.ndarray) -> np.ndarray:
     """The photograph with its painted sea floor toned down: deep water is dark, shelves keep a tint."""
-    photo = shrink(bmng).astype(np.float32) / 255
+    photo = bmng.astype(np.float32) / 255
     shelf = smoothstep(0.3, 0.75, photo[..., 0])[..., None]
     deep, shallow = np.array([0.20, 0.105, 0.035]), np.array([0.36, 0.27, 0.10])
     sea = deep + (shallow - deep) * shelf
-    latitude = np.abs(90 - (np.arange(HEIGHT) + 0.5) * 180 / HEIGHT)[:, None]
-    wander = noise(directions() * 9, 5)
+    height, width = water.shape
+    latitude = np.abs(90 - (np.arange(height) + 0.5) * 180 / height)[:, None]
+    wander = noise(directions(width, height) * 9, 5)
     ice = smoothstep(74, 79, latitude + 8 * wander)[..., None]
     sea = sea + (np.array([0.93, 0.91, 0.89]) - sea) * ice
     return (photo + (sea - photo) * water[..., None]).astype(np.float32)
@@ -90,17 +94,17 @@ def city_lights(data: Path, water: np.ndarray) -> np.ndarray:
         # Lit area, so light, grows a little slower than the number of people.
         np.add.at(layer, (row, column), 0.055 * (some[:, 2] / 1e4) ** 0.8 / np.cos(np.radians(some[:, 0])))
         light += cv2.GaussianBlur(layer, (0, 0), sigma) + 0.04 * cv2.GaussianBlur(layer, (0, 0), 4 * sigma)
-    light *= 1 - 0.9 * water
+    light *= 1 - 0.9 * resized(water, WIDTH, HEIGHT)
     return np.sqrt(1 - np.exp(-light))
 
 
 # --- clouds ---
 
 
-def directions() -> np.ndarray:
-    """(H, W, 3) unit vectors of the map's pixels, Earth-fixed."""
-    longitude = np.radians((np.arange(WIDTH) + 0.5) * 360 / WIDTH - 180)
-    latitude = np.radians(90 - (np.arange(HEIGHT) + 0.5) * 180 / HEIGHT)[:, None]
+def directions(width: int, height: int) -> np.ndarray:
+    """(H, W, 3) unit vectors of a map's pixels, Earth-fixed."""
+    longitude = np.radians((np.arange(width) + 0.5) * 360 / width - 180)
+    latitude = np.radians(90 - (np.arange(height) + 0.5) * 180 / height)[:, None]
     x, y, z = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)
     return np.stack(np.broadcast_arrays(x, y, z), -1).astype(np.float32)
 
@@ -139,50 +143,54 @@ def lattice_noise(points: np.ndarray, seed: int) -> np.ndarray:
 
 
 def swirl(points: np.ndarray, seed: int) -> np.ndarray:
-    """Points carried back around some hundred cyclones and anticyclones of the middle latitudes."""
+    """Points carried back around some hundred cyclones of the middle latitudes."""
     rng = np.random.default_rng(seed)
     points = points.copy()
-    for _ in range(170):
-        south = rng.random() < 0.5
-        latitude = np.radians(rng.normal(50, 9) if rng.random() < 0.75 else rng.normal(15, 5)) * (-1 if south else 1)
+    for _ in range(110):
+        side = rng.choice([-1, 1])
+        latitude = side * np.radians(np.clip(rng.normal(48, 9), 25, 70))
         longitude = rng.uniform(-np.pi, np.pi)
-        centre = np.array([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude),
-                           np.sin(latitude)], np.float32)
-        radius = rng.uniform(0.06, 0.16)
-        turn = rng.normal(2.6, 0.9) * (-1 if south else 1)
+        radius = rng.uniform(0.07, 0.17)
+        turn = side * rng.normal(1.9, 0.6)
+        flat = np.cos(latitude)
+        centre = np.array([flat * np.cos(longitude), flat * np.sin(longitude), np.sin(latitude)], np.float32)
         rows = np.abs(np.arange(HEIGHT) - (0.5 - latitude / np.pi) * HEIGHT) < 3 * radius / np.pi * HEIGHT
         block = points[rows]
         along = block @ centre
-        angle = turn * np.exp(-(2 - 2 * along) / radius**2)
-        cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
-        points[rows] = block * cos + np.cross(centre, block) * sin + centre * (along[..., None] * (1 - cos))
+        near = along > np.cos(3 * radius)
+        there = block[near]
+        angle = turn * np.exp(-(2 - 2 * along[near]) / radius**2)
+        cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        block[near] = there * cos + np.cross(centre, there) * sin + centre * (along[near][:, None] * (1 - cos))
+        points[rows] = block
     return points
 
 
 def clouds() -> np.ndarray:
     """Opacity of the clouds: fronts around cyclones, convection at the equator, fair-weather fields between."""
-    straight = directions()
+    straight = directions(WIDTH, HEIGHT)
     latitude = np.degrees(np.arcsin(straight[..., 2]))
-    flow = swirl(straight, 5)
-    warp = np.stack([noise(flow * 3.5, 3, seed) for seed in (11, 12, 13)], -1)
-    carried = flow + 0.16 * warp
-    carried[..., 2] *= 1.7  # longer east to west
+    warp = np.stack([noise(straight * 5, 3, seed) for seed in (11, 12, 13)], -1)
+    flow = swirl(straight, 5) + 0.09 * warp
+    stretched = flow * np.array([1, 1, 1.6], np.float32)  # longer east to west
 
     def belt(centre, width):
         return np.exp(-(((latitude - centre) / width) ** 2))
 
-    wet = 0.34 * belt(7, 8) + 0.42 * belt(52, 14) + 0.52 * belt(-54, 14) + 0.12 * belt(-8, 7)
-    wet = wet - 0.26 * belt(24, 9) - 0.20 * belt(-23, 9)
-    broad = noise(carried * 3.2, 7, 21, 0.58)
-    fine = noise(carried * 40 + 0.5 * warp, 6, 31, 0.62)
-    fronts = smoothstep(-0.08, 0.62, broad + 0.42 * wet - 0.16 + 0.28 * fine)
-    puffs = noise(straight * 60 + 1.5 * warp, 5, 41, 0.7, billow=True)
-    field = smoothstep(-0.25, 0.3, noise(flow * 6, 4, 51) + 0.25 * wet)
-    fair = smoothstep(0.12, 0.5, puffs) * field * (1 - 0.5 * smoothstep(60, 75, np.abs(latitude)))
-    towers = smoothstep(0.22, 0.55, noise(carried * 14, 6, 61, 0.65) + 0.55 * (belt(6, 9) + 0.5 * belt(-7, 7)) - 0.28)
-    wisps = 0.35 * smoothstep(0.1, 0.7, noise(carried * np.array([9, 9, 22], np.float32), 6, 71, 0.6) + 0.2 * wet)
-    clear = 1 - (1 - 0.97 * fronts) * (1 - 0.75 * fair) * (1 - 0.95 * towers) * (1 - wisps)
-    return clear.astype(np.float32)
+    wet = 0.16 * belt(6, 7) + 0.34 * belt(50, 15) + 0.46 * belt(-54, 16) + 0.10 * belt(-8, 8)
+    wet = wet - 0.22 * belt(24, 9) - 0.14 * belt(-22, 9)
+    broad = noise(stretched * 4.2, 5, 21, 0.55)
+    rough = noise(straight * 26 + 1.2 * warp, 6, 31, 0.62)
+    cells = noise(straight * 75 + 1.5 * warp, 4, 41, 0.65, billow=True)
+    fronts = smoothstep(-0.12, 0.52, broad + 0.55 * wet - 0.05 + 0.45 * rough)
+    open_cells = smoothstep(-0.2, 0.25, noise(stretched * 7, 3, 51) + 0.35 * wet)
+    fair = smoothstep(0.0, 0.5, cells + 0.35 * rough) * open_cells
+    clusters = noise(straight * 11 + 0.5 * warp, 3, 61, 0.5) + 0.5 * (belt(6, 9) + 0.7 * belt(-8, 9)) - 0.42
+    clusters = clusters + 0.35 * noise(straight * 2.7, 2, 65)
+    towers = smoothstep(-0.06, 0.5, clusters + 0.75 * rough)
+    wisps = 0.4 * smoothstep(0.0, 0.55, noise(flow * np.array([9, 9, 20], np.float32), 5, 71, 0.55) + 0.3 * wet)
+    through = (1 - 0.96 * fronts) * (1 - 0.8 * fair) * (1 - 0.95 * towers) * (1 - wisps * open_cells)
+    return (1 - through).astype(np.float32)
 
 
 # --- stars ---

@@ -90,10 +90,10 @@ def main(out: Path) -> None:
     }
     low = nearest(0, -30, 25, 1.0)
     flat = np.array([low.sun[0], low.sun[1], 0])
-    shots["glint"] = (low, [*(flat / np.linalg.norm(flat)), -0.6], (0, 0, 1), 60)
+    shots["glint"] = (low, [*flat[:2] / np.linalg.norm(flat), -0.6], (0, 0, 1), 60)
     dawn = nearest(0, -140, -18, 6.0)
     flat = np.array([dawn.sun[0], dawn.sun[1], 0])
-    shots["sunrise"] = (dawn, [*(flat / np.linalg.norm(flat)), -0.35], (0, 0, 1), 30)
+    shots["sunrise"] = (dawn, [*flat[:2] / np.linalg.norm(flat), -0.35], (0, 0, 1), 30)
     zenith = nearest(-30, 100, -50, 1.0)
     shots["stars"] = (zenith, (0.3, -1, 0.3), (0, 0, 1), 60)
     moonlit = nearest(-30, 100, -30, 3.0)

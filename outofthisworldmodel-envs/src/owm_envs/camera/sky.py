@@ -5,6 +5,7 @@ maps are stored by octahedron, so that a look-up takes no trigonometry, as pyram
 """
 
 import functools
+import math
 import os
 from collections.abc import Callable
 from importlib.resources import files
@@ -23,6 +24,12 @@ from owm_envs.camera.light import Heavens
 SIDE = 2880
 """Cells along a side of the finest map: 8 km on the ground."""
 LEVELS = 7
+FINE = 8
+"""Cells of the grain to one of the finest map."""
+GRAIN = 512
+"""Side of the tile of grain, a power of two."""
+BLOCK = 4096
+"""Directions at a time, so that intermediate results stay in the cache."""
 TEXEL = (4 * np.pi) ** 0.5
 """Mean cell of a map of side 1, rad."""
 
@@ -32,14 +39,14 @@ GRAZING = 35.4
 RAYLEIGH = (0.041, 0.098, 0.236)
 """Optical depth of clear air, straight up, at 680, 550 and 440 nm (Bodhaine et al. 1999, J. Atmos. Ocean. Tech. 16)."""
 HAZE = (0.030, 0.033, 0.038)
-REDDEST = (0.55, 1.0, 1.7)
+REDDEST = (1.0, 2.1, 3.8)
 """By how much thick air takes more of each colour of a low Sun; of no source but the eye."""
 SLOPE = 0.035
 """Mean square slope of the sea at a wind of 6 m/s (Cox and Munk 1954)."""
 MOON_ALBEDO = 0.12
 NIGHT_GAIN = 0.3
-"""What the brightest city and a star of magnitude zero come to. Both are far brighter than life, so that eight bits
-show them beside sunlit hulls."""
+"""Radiance of the brightest city, and a quarter of what a star of magnitude zero adds to a pixel. Both are far
+brighter than life, so that eight bits show them beside sunlit hulls."""
 
 
 class Sky(NamedTuple):
@@ -48,7 +55,9 @@ class Sky(NamedTuple):
     surface: UInt[Array, "T"]
     """Red, green, blue (square roots of reflectance) and share of water, a byte each, all levels end to end."""
     veil: UInt[Array, "T"]
-    """Opacity of clouds and lights of cities (square root), a byte each."""
+    """Opacity of clouds, lights of cities (square root) and slopes of the clouds along either axis, a byte each."""
+    grain: UInt[Array, "G"]
+    """A tile of noise finer than the maps: its value, and its slopes along either axis, a byte each."""
     stars: Float[Array, "S 3"]
     """Unit vectors, ICRF."""
     starlight: Float[Array, "S 3"]
@@ -73,7 +82,7 @@ def load_sky(
         earth: image of the ground by day, equirectangular, 180 W at the left edge and north up.
         clouds: opacity of clouds, grey, likewise.
         night: lights, grey, likewise.
-        night_gain: radiance of the brightest city and of a star of magnitude zero.
+        night_gain: radiance of the brightest city, a quarter of a star's of magnitude zero.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -88,14 +97,16 @@ def _load(earth: str | None, clouds: str | None, night: str | None) -> Sky:
     places = _node_places()
     ground = _read(earth, "earth.jpg", cv2.IMREAD_COLOR)[..., ::-1]
     surface = [*np.moveaxis(_spread(ground, places), -1, 0), _spread(_read(None, "water.jpg"), places)]
-    veil = [_spread(_read(clouds, "clouds.jpg"), places), _spread(_read(night, "night.jpg"), places)]
-    veil += [np.zeros_like(veil[0])] * 2
+    cover = _spread(_read(clouds, "clouds.jpg"), places)
+    slopes = np.gradient(cv2.GaussianBlur(cover, (0, 0), 1.0).astype(np.float32))
+    veil = [cover, _spread(_read(night, "night.jpg"), places), *(_signed(2 * slope) for slope in slopes[::-1])]
     with np.load(files(__package__) / "assets/stars.npz") as catalogue:
         stars, magnitude, colour = (catalogue[name] for name in ("direction", "magnitude", "colour"))
-    light = 10.0 ** (-0.4 * magnitude)[:, None] * _tint(colour)
+    light = 4 * 10.0 ** (-0.4 * magnitude)[:, None] * _tint(colour)
     return Sky(
         surface=jnp.asarray(_pyramid(np.stack(surface, -1))),
         veil=jnp.asarray(_pyramid(np.stack(veil, -1))),
+        grain=jnp.asarray(_grain()),
         stars=jnp.asarray(stars, jnp.float32),
         starlight=jnp.asarray(light, jnp.float32),
         night_gain=jnp.float32(NIGHT_GAIN),
@@ -150,6 +161,24 @@ def _pyramid(level: np.ndarray) -> np.ndarray:
     return np.concatenate(packed)
 
 
+def _signed(slope: np.ndarray) -> np.ndarray:
+    """Slopes as bytes, 128 for none."""
+    return np.clip(np.round(slope) + 128, 0, 255).astype(np.uint8)
+
+
+def _grain() -> np.ndarray:
+    """A tile of fractal noise: white noise with its waves damped by their frequency."""
+    white = np.random.default_rng(0).standard_normal((GRAIN, GRAIN))
+    along = np.fft.fftfreq(GRAIN) * GRAIN
+    frequency = np.hypot(along[:, None], along)
+    waves = np.fft.fft2(white) * frequency / (frequency + 4.0) ** 2.35
+    field = np.fft.ifft2(waves).real
+    field = np.clip(0.5 + 0.2 * field / field.std(), 0, 1) * 255
+    slopes = (np.roll(field, -1, axis) - np.roll(field, 1, axis) for axis in (1, 0))
+    tile = np.stack([field.round().astype(np.uint8), *(_signed(slope) for slope in slopes)], -1)
+    return np.pad(tile, ((0, 0), (0, 0), (0, 1))).view(np.uint32).ravel()
+
+
 def _tint(colour: np.ndarray) -> np.ndarray:
     """Linear RGB of a star of colour index B-V, as bright as white."""
     warm = np.clip(colour, -0.3, 1.8)[:, None] - 0.45
@@ -169,8 +198,16 @@ def sky_radiance(
         directions: unit vectors, station frame.
         footprint: angle between neighbouring pixels, rad.
     """
-    dx, dy, dz = (directions[..., axis] for axis in range(3))
-    shape = dx.shape
+    shape = directions.shape[:-1]
+    count = math.prod(shape)
+    if count <= BLOCK or count % BLOCK:
+        return _radiance(sky, heavens, directions, footprint)
+    blocks = directions.reshape(-1, BLOCK, 3)
+    return jax.lax.map(lambda block: _radiance(sky, heavens, block, footprint), blocks).reshape(*shape, 3)
+
+
+def _radiance(sky, heavens, directions, footprint):
+    dx, dy, dz = stored([directions[..., axis] for axis in range(3)])
 
     def along(vector):
         return dx * vector[0] + dy * vector[1] + dz * vector[2]
@@ -202,7 +239,7 @@ def sky_radiance(
         # Half of what the air takes from a wide scene goes forward and arrives all the same.
         behind = jnp.where(hits, jnp.sqrt(through[c]) * ground[c], through[c] * beyond[c])
         channels.append(air[c] + glow[c] + behind)
-    return jnp.stack(channels, -1).reshape(*shape, 3)
+    return stored(jnp.stack(stored(channels), -1))
 
 
 def _light(heavens, nx, ny, nz, altitude):
@@ -251,7 +288,8 @@ def _sun_and_moon(heavens, along, toward_sun, footprint):
     off_sun = jnp.sqrt(jnp.maximum(2.0 - 2.0 * toward_sun, 0.0) + 1e-12)
     wide = jnp.maximum(heavens.sun_radius, 0.6 * footprint)
     disc = jnp.clip((wide - off_sun) / footprint + 0.5, 0.0, 1.0) / (wide * wide)
-    sun = disc + 4e-4 / (off_sun * off_sun + 3e-4)
+    # Nothing of the glare of a Sun behind the Earth.
+    sun = disc + heavens.sunlight * 1e-3 / (off_sun * off_sun + 2e-4)
 
     toward_moon = along(heavens.moon)
     off_moon = jnp.sqrt(jnp.maximum(2.0 - 2.0 * toward_moon, 0.0) + 1e-12)
@@ -272,11 +310,28 @@ def _ground(sky, heavens, normal, view, up, distance, day, sunlit, toward_sun, f
     x, y, z = (fixed[row, 0] * normal[0] + fixed[row, 1] * normal[1] + fixed[row, 2] * normal[2] for row in range(3))
     wide = distance * footprint * jax.lax.rsqrt(jnp.maximum(up, 0.02)) * (SIDE / TEXEL)
     level = jnp.clip(jnp.log2(jnp.maximum(wide, 1e-3)) + 0.5, 0.0, LEVELS - 1.0).astype(jnp.int32)
-    corners, weights = _bilinear(x, y, z, level)
+    x, y, z = stored((x, y, z))
+    u, v = stored(_octahedral(x, y, z))
+    corners, weights = _nodes(u, v, level)
     red, green, blue, water = _mixed(sky.surface, corners, weights)
-    cover, lights, _, _ = _mixed(sky.veil, corners, weights)
+    cover, lights, cover_u, cover_v = _mixed(sky.veil, corners, weights)
+    rough, rough_u, rough_v, _ = _mixed(sky.grain, *_grain_nodes(u, v))
 
-    soft = 0.5 * (day + jnp.sqrt(day * day + 4e-4))
+    # Below the maps' resolution the grain breaks up edges; it fades before pixels grow coarser than it.
+    fine = jnp.clip(1.6 - 2.5 * wide, 0.0, 1.0)
+    rough = (rough - 0.5) * fine
+    edge = 4.0 * cover * (1.0 - cover)
+    cover = jnp.clip(cover + (1.5 * rough + 0.5 * fine * (cover - 0.5)) * edge, 0.0, 1.0)
+    # Slopes of the clouds that face the Sun are brighter, by how far a step towards it moves over the map.
+    step = 1e-3
+    sx, sy, sz = (jnp.sum(fixed[row] * heavens.sun) for row in range(3))
+    near_u, near_v = _octahedral(x + step * sx, y + step * sy, z + step * sz)
+    to_u, to_v = (near_u - u) * (1.0 / step), (near_v - v) * (1.0 / step)
+    climb = (cover_u - 0.502) * to_u + (cover_v - 0.502) * to_v
+    climb = 1.6 * climb + fine * edge * ((rough_u - 0.502) * to_u + (rough_v - 0.502) * to_v)
+    relief = jnp.clip(1.0 - climb / (0.25 + jnp.maximum(day, 0.0)), 0.45, 1.25)
+
+    soft = 0.5 * (day + jnp.sqrt(day * day + 1.6e-3)) * jnp.clip(1.0 + 4.0 * day, 0.0, 1.0)
     # A facet of sea that mirrors the Sun to us lies half way between the two.
     half_sq = 2.0 - 2.0 * toward_sun
     rise = (day + up) ** 2 / jnp.maximum(half_sq, 1e-6)
@@ -289,36 +344,55 @@ def _ground(sky, heavens, normal, view, up, distance, day, sunlit, toward_sun, f
     glint = jnp.where(day > 0, jnp.minimum(glint, 4.0), 0.0) * water
 
     open_sky = 1.0 - cover
+    lights = jnp.maximum(lights * (1.0 + 3.0 * rough), 0.0)
     night = sky.night_gain * lights * lights * (1.0 - 0.85 * cover) * jnp.clip(-8.0 * day + 0.2, 0.0, 1.0)
+    mottled = 0.85 * (1.0 + (0.8 - 0.6 * water) * rough)
     channels = []
     for root, reached, lamp in zip((red, green, blue), sunlit, (1.0, 0.72, 0.38)):
-        bare = 0.85 * root * root * soft + glint
-        channels.append((bare * open_sky + 0.82 * soft * cover) * reached + night * lamp)
+        # What air takes from the Sun's beam comes down in part, from all of the sky.
+        diffuse = soft * (0.45 + 0.55 * reached)
+        bare = mottled * root * root * diffuse + glint * reached
+        channels.append(bare * open_sky + 0.86 * relief * diffuse * cover + night * lamp)
     return channels
 
 
-def _bilinear(x, y, z, level):
-    """Indices of the four nodes around a direction, and their weights in 256ths."""
-    side = jnp.right_shift(jnp.int32(SIDE), level)
-    start = 4 * ((SIDE * SIDE - side * side) // 3) + 4 * (SIDE - side) + level
+def _octahedral(x, y, z):
+    """Place of a direction on the maps, in [-1, 1]."""
     scale = 1.0 / (jnp.abs(x) + jnp.abs(y) + jnp.abs(z))
     x, y = x * scale, y * scale
     u = jnp.where(z < 0, jnp.copysign(1.0 - jnp.abs(y), x), x)
     v = jnp.where(z < 0, jnp.copysign(1.0 - jnp.abs(x), y), y)
-    half = 0.5 * side.astype(jnp.float32)
+    return u, v
+
+
+def _nodes(u, v, level):
+    """Indices of the four nodes around a place, and their weights in 256ths."""
+    side = jnp.right_shift(jnp.int32(SIDE), level)
+    start = 4 * ((SIDE * SIDE - side * side) // 3) + 4 * (SIDE - side) + level
     # In 256ths of a cell; 2880 * 256 is exact in float32.
-    u = jnp.clip((u + 1.0) * half * 256.0, 0.0, side.astype(jnp.float32) * 256.0 - 1.0).astype(jnp.int32)
-    v = jnp.clip((v + 1.0) * half * 256.0, 0.0, side.astype(jnp.float32) * 256.0 - 1.0).astype(jnp.int32)
+    length = side.astype(jnp.float32) * 256.0
+    u, v = (jnp.clip((place + 1.0) * 0.5 * length, 0.0, length - 1.0).astype(jnp.int32) for place in (u, v))
     first = start + (v >> 8) * (side + 1) + (u >> 8)
-    fu, fv = u & 255, v & 255
-    both = (fu * fv) >> 8
-    weights = (256 - fu - fv + both, fu - both, fv - both, both)
-    corners = (first, first + 1, first + side + 1, first + side + 2)
-    return stored((corners, tuple(weight.astype(jnp.uint32) for weight in weights)))
+    return stored(((first, first + 1, first + side + 1, first + side + 2), _weights(u & 255, v & 255)))
+
+
+def _grain_nodes(u, v):
+    """The same of the tile of grain, which repeats."""
+    u, v = (((place + 1.0) * (0.5 * SIDE * FINE * 256)).astype(jnp.int32) for place in (u, v))
+    left, low = (u >> 8) & (GRAIN - 1), (v >> 8) & (GRAIN - 1)
+    right, high = (left + 1) & (GRAIN - 1), (low + 1) & (GRAIN - 1)
+    low, high = low * GRAIN, high * GRAIN
+    return stored(((low + left, low + right, high + left, high + right), _weights(u & 255, v & 255)))
+
+
+def _weights(u, v):
+    both = (u * v) >> 8
+    weights = (256 - u - v + both, u - both, v - both, both)
+    return tuple(weight.astype(jnp.uint32) for weight in weights)
 
 
 def _mixed(packed, corners, weights):
-    """The four bytes of a packed map at weighted nodes, in [0, 1]."""
+    """The four bytes of a packed map at weighted nodes, in [0, 1]; two at a time, in the halves of a word."""
     even, odd = jnp.uint32(0), jnp.uint32(0)
     texels = stored([packed.at[corner].get(mode="promise_in_bounds") for corner in corners])
     for texel, weight in zip(texels, weights):
