@@ -54,8 +54,8 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
 
     Returns:
         by name of the camera's `outputs`: `rgb` (H, W, 3) uint8, sRGB. `depth` (H, W) float32, along the optical axis
-        [m], infinite where no part is. `part` (H, W) int32, row of the station's table of parts, further on of the
-        chaser's, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking port, -1 for
+        [m], infinite where no part is. `part` (H, W) int32, row of the station's `PARTS`, further on of its
+        `DETAILS`, of the chaser's parts, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking port, -1 for
         none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
     """
     pose = placed(camera, view)
@@ -151,6 +151,8 @@ def _photograph(scene: Scene, parts: Solids, cast: Rays, hits: Hit, camera: Came
         hits, lit, way = tile
         row = lambda table: tuple(table[hits.part, j] for j in range(table.shape[1]))
         width = hits.distance * cast.spread if perspective else cast.spread
+        # What a pixel covers is longer on a surface seen at a slant.
+        width = width / jnp.maximum(-dot(hits.normal, way), 0.1)
         seen = look(scene.materials, parts.material[hits.part], hits.place, hits.face, row(parts.half), width)
         light = radiance(shining, seen, hits.normal, tuple(-w for w in way), hits.distance, lit)
         return tuple(developed(gain * jnp.where(hits.found, channel, 0.0)) for channel in light)
