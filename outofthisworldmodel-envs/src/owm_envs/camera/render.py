@@ -61,9 +61,9 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
 
     Returns:
         by name of the camera's `outputs`: `rgb` (H, W, 3) uint8, sRGB. `depth` (H, W) float32, along the optical axis
-        [m], infinite where no part is. `part` (H, W) int32, row of the station's table of parts, further on of the
-        chaser's, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking port, -1 for
-        none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
+        [m], infinite where no part is. `part` (H, W) int32, row of the station's `PARTS`, further on of its `DETAILS`,
+        of the chaser's parts, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking
+        port, -1 for none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
     """
     pose = placed(camera, view)
     parts, closest, order = _nearest_first(assembled(scene, view), pose, camera)
@@ -165,6 +165,8 @@ def _exposed(
         hits, lit, way = strip
         met, at = hits.met, hits.at
         width = at.distance * step if camera.projection == "perspective" else step
+        # What a pixel covers is longer on a surface seen at a slant.
+        width = width / jnp.maximum(-dot(hits.normal, way), 0.1)
         inner = normal_at(at.face, at.place, met.quadric)
         seen = look(scene.materials, met.material, at.place, inner, met.half, width)
         light = radiance(shining, seen, hits.normal, tuple(-w for w in way), at.distance, lit)

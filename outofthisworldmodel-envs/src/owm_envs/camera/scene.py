@@ -12,6 +12,7 @@ from owm_envs.camera.shade import Light, default_light
 from owm_envs.camera.solids import Solids, joined, moved, solids
 from owm_envs.camera.surface import MATERIAL_NAMES, Materials, materials
 from owm_envs.station.chaser import CHASER
+from owm_envs.station.details import DETAILS
 from owm_envs.station.parts import PARTS
 from owm_envs.view import View
 
@@ -30,6 +31,7 @@ class Scene(NamedTuple):
     """All that a picture shows, but for where the chaser is and the light: traced leaves all."""
 
     station: Solids
+    """Rows of `PARTS`, then of `DETAILS`."""
     chaser: Solids
     """In its body frame; visitors look alike."""
     visitors: Visitors
@@ -49,7 +51,7 @@ def default_scene(visitors: int = 0) -> Scene:
         jnp.tile(jnp.asarray([[1.0, 0.0, 0.0, 0.0]], jnp.float32), (visitors, 1)),
         jnp.zeros(visitors, bool),
     )
-    station, chaser = solids(PARTS, MATERIAL_NAMES), solids(CHASER, MATERIAL_NAMES)
+    station, chaser = solids((*PARTS, *DETAILS), MATERIAL_NAMES), solids(CHASER, MATERIAL_NAMES)
     return Scene(station, chaser, nobody, materials(), default_light(), noon())
 
 
