@@ -4,6 +4,7 @@ A picture is drawn in strips of some tiles, and each strip in stages: which part
 sees that place, and how it looks. What one stage finds is stored before the next one reads it (`stored`).
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from owm_envs.camera.lens import Camera, Pose, Rays, arranged, grid, placed, rays
+from owm_envs.camera.lens import Camera, Grid, Pose, Rays, arranged, grid, placed, rays
 from owm_envs.camera.scene import Scene, assembled
 from owm_envs.camera.shade import Lights, developed, encoded, lights, radiance
+from owm_envs.camera.sky import sky_radiance, splat_stars
 from owm_envs.camera.solids import Quadric, Solids, Standing, normal_at, standing
 from owm_envs.camera.surface import look
-from owm_envs.camera.trace import LANES, Words, between, busiest_first, columns_and_rows, in_strips, stored, sweep
-from owm_envs.camera.vectors import Vector, dot, plus
+from owm_envs.camera.trace import LANES, SIDE, Words, between, busiest_first, columns_and_rows, in_strips, stored, sweep
+from owm_envs.camera.vectors import Vector, dot, plus, where
 from owm_envs.station.ports import PORTS
 from owm_envs.view import View
 
@@ -75,14 +77,16 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
     tiles = busiest_first(words)
     shining = lights(scene.light, scene.heavens)
 
+    stars = _stars(scene, pose, cut, camera) if "rgb" in camera.outputs else ()
+
     def strip(rows):
-        tiles, words = rows
+        tiles, words, *stars = rows
         cast = rays(camera, pose, cut, tiles)
         hits = _hits(parts, closest, words, cast)
         shown = {}
         if "rgb" in camera.outputs:
             lit = _sunlit(*jax.lax.stop_gradient((parts, hits, scene.heavens.sun)))
-            shown["rgb"] = _exposed(scene, shining, hits, lit, cast, cut.step, camera)
+            shown["rgb"] = _exposed(scene, shining, hits, lit, cast, stars, cut.step, camera)
         if "depth" in camera.outputs:
             along = tuple(pose.axes[j, 2] for j in range(3))
             shown["depth"] = jnp.where(hits.found, hits.at.distance * dot(cast.way, along), jnp.inf)
@@ -95,7 +99,9 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
         return shown
 
     everywhere = jnp.ones(tiles.shape, bool)
-    shown = in_strips(strip, (tiles, words[tiles]), everywhere, max(16, tiles.shape[0] // 16))
+    shown = in_strips(
+        strip, (tiles, words[tiles], *(channel[tiles] for channel in stars)), everywhere, max(16, tiles.shape[0] // 16)
+    )
     back = jnp.argsort(tiles)
     samples = jax.tree.map(lambda a: arranged(a[back], camera), shown)
     return {name: _pixels(name, samples[name], camera) for name in samples}
@@ -156,7 +162,14 @@ def _turned_out(met: Met, at: Standing) -> Vector:
 
 
 def _exposed(
-    scene: Scene, shining: Lights, hits: Hit, lit: Array, cast: Rays, step: Array, camera: Camera
+    scene: Scene,
+    shining: Lights,
+    hits: Hit,
+    lit: Array,
+    cast: Rays,
+    stars: Sequence[Array],
+    step: Array,
+    camera: Camera,
 ) -> tuple[Array, Array, Array]:
     """Display light of the three colours, 0 to 1; encoded where no samples are to be averaged."""
     gain = jnp.exp2(camera.exposure)
@@ -177,7 +190,38 @@ def _exposed(
         return tuple(map(encoded, light)) if camera.samples == 1 else light
 
     busy = hits.found.any(axis=1)
-    return stored(develop, stored(shade, (hits, lit, cast.way), busy), busy)
+    light = stored(shade, (hits, lit, cast.way), busy)
+    if scene.sky is not None:
+        way = tuple(jnp.broadcast_to(w, hits.found.shape) for w in cast.way)
+        sky = stored(lambda way: _behind(scene, way, step), way, ~hits.found.all(axis=1))
+        light = where(hits.found, light, plus(sky, 1.0, stars) if stars else sky)
+        busy = jnp.ones_like(busy)
+    return stored(develop, light, busy)
+
+
+def _behind(scene: Scene, way: Vector, step: Array) -> Vector:
+    """The sky along rays, but for its stars."""
+    light = sky_radiance(scene.sky, scene.heavens, jnp.stack(way, axis=-1), step)
+    return tuple(light[..., channel] for channel in range(3))
+
+
+def _stars(scene: Scene, pose: Pose, cut: Grid, camera: Camera) -> Sequence[Array]:
+    """What the stars add to each sample of each tile; nothing where rays run parallel."""
+    if scene.sky is None or camera.projection == "orthographic":
+        return ()
+    rows, columns = cut.down.shape[0] - 1, cut.across.shape[0] - 1
+
+    def project(towards):
+        right, up, forward = (towards @ pose.axes).T
+        ahead = forward > 1e-3
+        depth = cut.step * jnp.where(ahead, forward, 1.0)
+        corner = cut.across[0] / cut.step, cut.down[0] / cut.step
+        place = jnp.stack([right / depth - corner[0], corner[1] - up / depth], axis=-1)
+        return place - 0.5, ahead
+
+    light = splat_stars(scene.sky, scene.heavens, project, (rows * SIDE, columns * SIDE)) * camera.samples**2
+    tiled = light.reshape(rows, SIDE, columns, SIDE, 3).swapaxes(1, 2).reshape(rows * columns, LANES, 3)
+    return tuple(tiled[..., channel] for channel in range(3))
 
 
 def _sunlit(parts: Solids, hits: Hit, sun: Float[Array, "3"]) -> Float[Array, "T 64"]:

@@ -59,7 +59,14 @@ PATTERNS: dict[str, Pattern] = {
     ),
     # 82 folded panels a blanket, cells of 8 cm in strings.
     "array": Pattern(
-        (0.787, 0.05), (0.39, 0.024), (0.80, 0.64, 0.38), (0.0984, 0.088), (0.0975, 0.089), (0.42, 0.27, 0.13), 0.12, back="array_back"
+        (0.787, 0.05),
+        (0.39, 0.024),
+        (0.80, 0.64, 0.38),
+        (0.0984, 0.088),
+        (0.0975, 0.089),
+        (0.42, 0.27, 0.13),
+        0.12,
+        back="array_back",
     ),
     "array_back": Pattern((0.787, 0.06), (0.39, 0.03), (0.60, 0.44, 0.22), tones=0.10),
     "array_blue": Pattern(

@@ -152,6 +152,16 @@ def stored(function: Callable[[Any], Any], arrays: Any, busy: Bool[Array, "T"], 
     return in_strips(function, arrays, busy, max(1, busy.shape[0] // _PIECES), idle)
 
 
+def settled(always: Bool[Array, ""], arrays: Any) -> Any:
+    """Give arrays as they are, but stored before anything reads them.
+
+    A compiler cannot look through a conditional, which is why `always` must be true, and known only when the program
+    runs. (`astrojax.compilation.stored` says it in so many words, but XLA heeds it with options alone.)
+    """
+    blank = jax.tree.map(jnp.zeros_like, arrays)
+    return jax.lax.cond(_anyone(always), lambda arrays: arrays, lambda _: blank, arrays)
+
+
 @jax.custom_batching.custom_vmap
 def _anyone(yes: Bool[Array, ""]) -> Bool[Array, ""]:
     """Whether any example of a batch says yes: one answer for all, so that a conditional on it stays one."""
