@@ -18,7 +18,19 @@ from owm_envs.camera.shade import Lights, developed, encoded, lights, radiance
 from owm_envs.camera.sky import sky_radiance, splat_stars
 from owm_envs.camera.solids import Quadric, Solids, Standing, normal_at, standing
 from owm_envs.camera.surface import look
-from owm_envs.camera.trace import LANES, SIDE, Words, between, busiest_first, columns_and_rows, in_strips, stored, sweep
+from owm_envs.camera.trace import (
+    LANES,
+    SIDE,
+    Bounds,
+    Words,
+    between,
+    bounds,
+    busiest_first,
+    columns_and_rows,
+    in_strips,
+    stored,
+    sweep,
+)
 from owm_envs.camera.vectors import Vector, dot, plus, where
 from owm_envs.station.ports import PORTS
 from owm_envs.view import View
@@ -75,6 +87,7 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
         *jax.lax.stop_gradient((parts, pose.position, pose.axes, cut.across, cut.down)), perspective
     )
     tiles = busiest_first(words)
+    shadows = _shadows(parts, scene.heavens.sun)
     shining = lights(scene.light, scene.heavens)
 
     stars = _stars(scene, pose, cut, camera) if "rgb" in camera.outputs else ()
@@ -85,7 +98,7 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
         hits = _hits(parts, closest, words, cast)
         shown = {}
         if "rgb" in camera.outputs:
-            lit = _sunlit(*jax.lax.stop_gradient((parts, hits, scene.heavens.sun)))
+            lit = _sunlit(*jax.lax.stop_gradient((shadows, hits)))
             shown["rgb"] = _exposed(scene, shining, hits, lit, cast, stars, cut.step, camera)
         if "depth" in camera.outputs:
             along = tuple(pose.axes[j, 2] for j in range(3))
@@ -122,10 +135,12 @@ def _pixels(name: str, values: Any, camera: Camera) -> Shaped[Array, "H W ..."]:
 
 def _nearest_first(parts: Solids, pose: Pose, camera: Camera) -> tuple[Solids, Float[Array, "N"], Int[Array, "N"]]:
     """The parts in order of the least distance at which a ray may meet them; that distance; the order."""
-    offset = parts.centre - pose.position[None, :]
-    parallel = camera.projection == "orthographic"
-    along = offset @ pose.axes[:, 2] if parallel else jnp.sqrt((offset * offset).sum(axis=1))
-    closest = along - jnp.sqrt((parts.half * parts.half).sum(axis=1))
+    if camera.projection == "orthographic":
+        closest = bounds(parts, pose.axes[:, 2:].T).least[0] - pose.position @ pose.axes[:, 2]
+    else:
+        inside = jnp.abs(jnp.einsum("ni,nij->nj", pose.position[None, :] - parts.centre, parts.rotation))
+        outside = jnp.maximum(inside - parts.half, 0.0)
+        closest = jnp.sqrt((outside * outside).sum(axis=1))
     order = jnp.argsort(closest)
     return jax.tree.map(lambda a: a[order], parts), closest[order], order
 
@@ -224,19 +239,34 @@ def _stars(scene: Scene, pose: Pose, cut: Grid, camera: Camera) -> Sequence[Arra
     return tuple(tiled[..., channel] for channel in range(3))
 
 
-def _sunlit(parts: Solids, hits: Hit, sun: Float[Array, "3"]) -> Float[Array, "T 64"]:
-    """Whether no other part stands between each point and the Sun, 0 or 1."""
-    towards = tuple(sun[j].reshape(1, 1) for j in range(3))
-    active = hits.found & (dot(hits.normal, towards) > 0)
-    points = plus(hits.point, _LIFT, hits.normal)
+class _Shadows(NamedTuple):
+    """What it takes to look for what stands between a point and the Sun."""
+
+    parts: Solids
+    towards: Float[Array, "3 3"]
+    """Two directions across the Sun's and that of the Sun, as rows."""
+    reach: Bounds
+
+
+def _shadows(parts: Solids, sun: Float[Array, "3"]) -> _Shadows:
     helper = jnp.where(jnp.abs(sun[2]) < 0.9, jnp.asarray([0, 0, 1], sun.dtype), jnp.asarray([1, 0, 0], sun.dtype))
     first = jnp.cross(helper, sun)
     first = first / jnp.sqrt((first * first).sum())
-    frame = jnp.stack([first, jnp.cross(sun, first), sun])
-    words = stored(lambda strip: between(parts, frame, *strip), (points, active), active.any(axis=1))
-    anywhere = jnp.full(parts.present.shape, -jnp.inf, sun.dtype)
-    blocker, _ = sweep(parts, anywhere, words, points, towards, active, first=False)
-    return (active & (blocker < 0)).astype(sun.dtype)
+    towards = jnp.stack([first, jnp.cross(sun, first), sun])
+    return _Shadows(parts, towards, bounds(parts, towards))
+
+
+def _sunlit(shadows: _Shadows, hits: Hit) -> Float[Array, "T 64"]:
+    """Whether no other part stands between each point and the Sun, 0 or 1."""
+    parts, towards, reach = shadows
+    sun = tuple(towards[2, j].reshape(1, 1) for j in range(3))
+    active = hits.found & (dot(hits.normal, sun) > 0)
+    points = plus(hits.point, _LIFT, hits.normal)
+    look_up = lambda strip: between(reach, parts.present, towards, *strip)
+    words = stored(look_up, (points, active), active.any(axis=1))
+    anywhere = jnp.full(parts.present.shape, -jnp.inf, towards.dtype)
+    blocker, _ = sweep(parts, anywhere, words, points, sun, active, first=False)
+    return (active & (blocker < 0)).astype(towards.dtype)
 
 
 def _port(hits: Hit) -> Int[Array, "T 64"]:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from owm_envs.camera.solids import FAR, Solids, crossing
@@ -23,6 +24,7 @@ SIDE = 8
 """Pixels along the side of a tile."""
 LANES = SIDE * SIDE
 _PIECES = 4
+_POOL = 64  # tiles that go through their candidates in step
 _WORD = 32
 
 Words = UInt32[Array, "T W"]
@@ -40,7 +42,7 @@ def bounds(solids: Solids, directions: Float[Array, "D 3"]) -> Bounds:
     """Give how far each solid's box reaches along directions (of any length), from the frame's origin."""
     middle = directions @ solids.centre.T
     axes = solids.rotation * solids.half[:, None, :]
-    reach = jnp.abs(jnp.einsum("di,nij->dnj", directions, axes)).sum(axis=-1)
+    reach = sum(jnp.abs(directions @ axes[:, :, j].T) for j in range(3))
     return Bounds(middle - reach, middle + reach)
 
 
@@ -91,16 +93,20 @@ def columns_and_rows(
     return both.reshape(-1, both.shape[-1])
 
 
-def between(solids: Solids, towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "T L"]) -> Words:
+def between(
+    reach: Bounds, present: Bool[Array, "N"], towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "T L"]
+) -> Words:
     """Give what may stand between the points of each tile and a far light.
 
     Args:
+        reach: of the solids along `towards`.
+        present: which of them are there.
         towards: two directions across the light's and that of the light itself, as rows.
         points: (T, L) [m].
         active: which points count; a tile without any has no candidate.
     """
-    least, most = bounds(solids, towards)
-    mask = solids.present[None, :] & active.any(axis=1)[:, None]
+    least, most = reach
+    mask = present[None, :] & active.any(axis=1)[:, None]
     for axis in range(3):
         place = sum(towards[axis, j] * points[j] for j in range(3))
         mask = mask & (most[axis][None, :] >= jnp.where(active, place, FAR).min(axis=1)[:, None])
@@ -210,6 +216,19 @@ class _March(NamedTuple):
     more: Bool[Array, ""]
 
 
+class Pool(NamedTuple):
+    """Tiles that go through their candidates together, of one picture or of many."""
+
+    table: Float[Array, "G N 20"]
+    """Of each picture its solids: centre, rotation, half, quadric, and the distance before which no ray meets it."""
+    group: Int[Array, "T"]
+    """Which picture a tile is of."""
+    words: Words
+    origin: Vector
+    way: Vector
+    active: Bool[Array, "T L"]
+
+
 def sweep(
     solids: Solids,
     closest: Float[Array, "N"],
@@ -219,30 +238,70 @@ def sweep(
     active: Bool[Array, "T L"],
     first: bool,
 ) -> tuple[Int[Array, "T L"], Float[Array, "T L"]]:
-    """Give the solid that each ray meets.
+    """Give the solid that each ray meets; not to be differentiated.
 
     Args:
         closest: no ray meets the solid before this distance [m]; ascending.
-        words: candidates of each tile; alike ones should be neighbours.
-        origin, way: of the rays, (T, L), (T, 1) or (1, 1); `way` has unit length.
+        words: candidates of each tile.
+        origin, way: of the rays, (T, L), or (1, 1) where all share it; `way` has unit length.
         active: which rays count.
         first: whether the nearest is asked for; else any will do, and it may also surround the origin.
 
     Returns:
         The row of the solid, -1 for none, and the distance to it [m].
     """
-    last = solids.present.shape[0] - 1
     table = jnp.concatenate(
         [solids.centre, solids.rotation.reshape(-1, 9), solids.half, solids.quadric, closest[:, None]], axis=1
     )
+    tiles = words.shape[0]
+    each = lambda v: tuple(jnp.broadcast_to(a, (tiles, a.shape[1])) for a in v)
+    pool = Pool(table[None], jnp.zeros(tiles, jnp.int32), words, each(origin), each(way), active)
+    return (_nearest if first else _any)(jax.lax.stop_gradient(pool))
+
+
+def _pooled(first: bool):
+    """The search of a pool. A batch of pools is one larger pool, so that tiles of all its pictures go through sorted."""
+
+    @jax.custom_batching.custom_vmap
+    def search(pool: Pool):
+        return _search(pool, first)
+
+    @search.def_vmap
+    def _(size, batched, pool):
+        pool = jax.tree.map(lambda a, on: a if on else jnp.broadcast_to(a, (size, *a.shape)), pool, batched[0])
+        groups = pool.table.shape[1]
+        group = pool.group + groups * jnp.arange(size, dtype=jnp.int32)[:, None]
+        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), pool._replace(group=group))
+        found = jax.tree.map(lambda a: a.reshape(size, -1, *a.shape[1:]), search(flat))
+        return found, jax.tree.map(lambda _: True, found)
+
+    @jax.custom_jvp
+    def still(pool: Pool):
+        return search(pool)
+
+    @still.defjvp
+    def _(primals, tangents):
+        owner, near = still(*primals)
+        return (owner, near), (np.zeros(owner.shape, jax.dtypes.float0), jnp.zeros_like(near))
+
+    return still
+
+
+_nearest, _any = _pooled(first=True), _pooled(first=False)
+
+
+def _search(pool: Pool, first: bool) -> tuple[Int[Array, "T L"], Float[Array, "T L"]]:
+    solids = pool.table.shape[1]
+    table = pool.table.reshape(-1, pool.table.shape[-1])
 
     def through(strip):
-        words, start, ray, live = strip
+        group, words, start, ray, live = strip
         counts = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32), axis=1)
         total = counts[:, -1]
 
         def candidate(n):
-            return jnp.minimum(_nth(words, counts, jnp.minimum(jnp.full_like(total, n), total - 1)), last)
+            which = _nth(words, counts, jnp.minimum(jnp.full_like(total, n), total - 1))
+            return group * solids + jnp.minimum(which, solids - 1)
 
         def meet(state: _March) -> _March:
             row = table[state.next]
@@ -265,9 +324,11 @@ def sweep(
         zero, nobody = jnp.zeros((), jnp.int32), jnp.full(best.shape, -1, jnp.int32)
         begun = _March(zero, candidate(zero), jnp.zeros_like(total), best, best, nobody, (total > 0).any())
         ended = jax.lax.while_loop(lambda state: state.more, meet, begun)
-        return settled(ended), ended.best
+        owner = settled(ended)
+        return jnp.where(owner < 0, owner, owner - group[:, None] * solids), ended.best
 
-    order = busiest_first(words)
-    rows = jax.tree.map(lambda a: a[order] if a.shape[0] > 1 else a, (words, origin, way, active))
-    found = stored(through, rows, (rows[0] != 0).any(axis=1), idle=-1)
-    return jax.tree.map(lambda a: a[jnp.argsort(order)], found)
+    order = busiest_first(pool.words)
+    rows = jax.tree.map(lambda a: a[order], pool[1:])
+    found = in_strips(through, rows, (rows[1] != 0).any(axis=1), _POOL, idle=-1)
+    back = jnp.argsort(order)
+    return jax.tree.map(lambda a: a[back], found)
