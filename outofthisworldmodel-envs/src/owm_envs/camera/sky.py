@@ -334,7 +334,7 @@ def _ground(sky, heavens, normal, up, distance, day, soft, sunlit, toward_sun, f
     near_u, near_v = _octahedral(x + step * sx, y + step * sy, z + step * sz)
     to_u, to_v = (near_u - u) * (1.0 / step), (near_v - v) * (1.0 / step)
     climb = (cover_u - 0.502) * to_u + (cover_v - 0.502) * to_v
-    climb = 1.6 * climb + fine * edge * ((rough_u - 0.502) * to_u + (rough_v - 0.502) * to_v)
+    climb = 1.6 * climb + fine * (0.35 + edge) * ((rough_u - 0.502) * to_u + (rough_v - 0.502) * to_v)
     relief = jnp.clip(1.0 - climb / (0.25 + jnp.maximum(day, 0.0)), 0.45, 1.25)
 
     # A facet of sea that mirrors the Sun to us lies half way between the two.
@@ -353,11 +353,12 @@ def _ground(sky, heavens, normal, up, distance, day, soft, sunlit, toward_sun, f
     night = sky.night_gain * lights * lights * (1.0 - 0.85 * cover) * jnp.clip(-8.0 * day + 0.2, 0.0, 1.0)
     mottled = 0.72 * (1.0 + (0.45 - 0.35 * water) * rough)
     channels = []
-    for root, reached, lamp in zip((red, green, blue), sunlit, (1.0, 0.72, 0.38)):
+    white = 0.84 * relief * (1.0 + 0.35 * rough)
+    for root, reached, lamp, fill in zip((red, green, blue), sunlit, (1.0, 0.72, 0.38), (0.40, 0.45, 0.54)):
         # What air takes from the Sun's beam comes down in part, from all of the sky.
-        diffuse = soft * (0.45 + 0.55 * reached)
+        diffuse = soft * (fill + (1.0 - fill) * reached)
         bare = mottled * root * root * diffuse + glint * reached
-        channels.append(bare * open_sky + 0.86 * relief * diffuse * cover + night * lamp)
+        channels.append(bare * open_sky + white * diffuse * cover + night * lamp)
     return channels
 
 
