@@ -39,13 +39,13 @@ GRAZING = 35.4
 RAYLEIGH = (0.041, 0.098, 0.236)
 """Optical depth of clear air, straight up, at 680, 550 and 440 nm (Bodhaine et al. 1999, J. Atmos. Ocean. Tech. 16)."""
 HAZE = (0.030, 0.033, 0.038)
-REDDEST = (1.0, 2.1, 3.8)
+REDDEST = (1.3, 3.0, 5.5)
 """By how much thick air takes more of each colour of a low Sun; of no source but the eye."""
-SLOPE = 0.035
-"""Mean square slope of the sea at a wind of 6 m/s (Cox and Munk 1954)."""
+SLOPE = 0.028
+"""Mean square slope of the sea at a wind of 5 m/s (Cox and Munk 1954)."""
 MOON_ALBEDO = 0.12
 NIGHT_GAIN = 0.3
-"""Radiance of the brightest city, and a quarter of what a star of magnitude zero adds to a pixel. Both are far
+"""Radiance of the brightest city, and an eighth of what a star of magnitude zero adds to a pixel. Both are far
 brighter than life, so that eight bits show them beside sunlit hulls."""
 
 
@@ -82,7 +82,7 @@ def load_sky(
         earth: image of the ground by day, equirectangular, 180 W at the left edge and north up.
         clouds: opacity of clouds, grey, likewise.
         night: lights, grey, likewise.
-        night_gain: radiance of the brightest city, a quarter of a star's of magnitude zero.
+        night_gain: radiance of the brightest city, an eighth of a star's of magnitude zero.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -102,7 +102,7 @@ def _load(earth: str | None, clouds: str | None, night: str | None) -> Sky:
     veil = [cover, _spread(_read(night, "night.jpg"), places), *(_signed(2 * slope) for slope in slopes[::-1])]
     with np.load(files(__package__) / "assets/stars.npz") as catalogue:
         stars, magnitude, colour = (catalogue[name] for name in ("direction", "magnitude", "colour"))
-    light = 4 * 10.0 ** (-0.4 * magnitude)[:, None] * _tint(colour)
+    light = 8 * 10.0 ** (-0.4 * magnitude)[:, None] * _tint(colour)
     return Sky(
         surface=jnp.asarray(_pyramid(np.stack(surface, -1))),
         veil=jnp.asarray(_pyramid(np.stack(veil, -1))),
@@ -228,10 +228,13 @@ def _radiance(sky, heavens, directions, footprint):
     nx, ny, nz = stored((px * inverse, py * inverse, pz * inverse))
     falling, hits, up, distance, altitude = stored((falling, hits, up, distance, altitude))
 
-    day = stored(_light(heavens, nx, ny, nz, altitude))
+    day = _light(heavens, nx, ny, nz, altitude)
+    # Sunlight on level ground, spread over the terminator; it ends with the astronomical twilight.
+    soft = 0.5 * (day + jnp.sqrt(day * day + 1.6e-3)) * jnp.clip(1.0 + 4.0 * day, 0.0, 1.0)
     toward_sun = along(heavens.sun)
-    air, through, sunlit = _air(day, up, altitude, hits, toward_sun)
-    ground = _ground(sky, heavens, (nx, ny, nz), (dx, dy, dz), up, distance, day, sunlit, toward_sun, footprint)
+    day, soft, toward_sun = stored((day, soft, toward_sun))
+    air, through, sunlit = _air(day, soft, up, altitude, hits, toward_sun)
+    ground = _ground(sky, heavens, (nx, ny, nz), up, distance, day, soft, sunlit, toward_sun, footprint)
     glow = _airglow(sky, altitude, hits, day)
     beyond = _sun_and_moon(heavens, along, toward_sun, footprint)
     channels = []
@@ -245,7 +248,7 @@ def _radiance(sky, heavens, directions, footprint):
 def _light(heavens, nx, ny, nz, altitude):
     """Cosine of the Sun's zenith angle; from on high the Sun sets later."""
     level = nx * heavens.sun[0] + ny * heavens.sun[1] + nz * heavens.sun[2]
-    return level + 0.7 * jnp.sqrt(2.0 * altitude + 1e-12)
+    return level + 0.4 * jnp.sqrt(2.0 * altitude + 1e-12)
 
 
 def _air_masses(cosine):
@@ -254,7 +257,7 @@ def _air_masses(cosine):
     return 2.0 / (cosine + jnp.sqrt(cosine * cosine + width * width))
 
 
-def _air(day, up, altitude, hits, toward_sun):
+def _air(day, soft, up, altitude, hits, toward_sun):
     """Light scattered in by the air, what it lets through, and what of the Sun reaches the ground; by colour."""
     density = jnp.exp(altitude * (-1.0 / SCALE_HEIGHT))
     column = jnp.where(hits, _air_masses(up), 2.0 * GRAZING)
@@ -262,14 +265,15 @@ def _air(day, up, altitude, hits, toward_sun):
     to_sun = _air_masses(day)
     rayleigh = 0.1875 * (1.0 + toward_sun * toward_sun)
     forward = jax.lax.rsqrt(1.55 - 1.4 * toward_sun)
-    mie = 0.12 * forward * forward * forward
+    mie = 0.07 * forward * forward * forward
+    again = 0.3 * soft / (soft + 0.12)  # light scattered more than once, of all colours
     air, through, sunlit = [], [], []
     for clear, haze, red in zip(RAYLEIGH, HAZE, REDDEST):
         depth = clear + haze
         passed = jnp.exp(-depth * masses)
         reached = jnp.exp(-to_sun * jnp.minimum(0.5 * depth * density, red / column))
         phase = (clear / depth) * 1.25 * rayleigh + (haze / depth) * mie
-        air.append(phase * (1.0 - passed) * reached)
+        air.append(phase * (1.0 - passed) * (0.7 * reached + again))
         through.append(passed)
         sunlit.append(reached)
     return stored((air, through, sunlit))
@@ -294,17 +298,19 @@ def _sun_and_moon(heavens, along, toward_sun, footprint):
     toward_moon = along(heavens.moon)
     off_moon = jnp.sqrt(jnp.maximum(2.0 - 2.0 * toward_moon, 0.0) + 1e-12)
     radius = jnp.maximum(heavens.moon_radius, 0.6 * footprint)
-    share = jnp.clip((radius - off_moon) / footprint + 0.5, 0.0, 1.0) * (heavens.moon_radius / radius) ** 2
+    disc = jnp.clip((radius - off_moon) / footprint + 0.5, 0.0, 1.0)
+    share = disc * (heavens.moon_radius / radius) ** 2
     # The normal under the ray: across the disc by the offset, the rest towards us.
     across = toward_sun - toward_moon * jnp.sum(heavens.sun * heavens.moon)
     facing = jnp.sqrt(jnp.maximum(1.0 - (off_moon / radius) ** 2, 0.0) + 1e-6)
     lit = across / radius - facing * jnp.sum(heavens.sun * heavens.moon)
     lit = jnp.maximum(lit, 0.0)
     moon = MOON_ALBEDO * share * 2.0 * lit / (lit + facing + 1e-3)
+    sun = sun * (1.0 - share)
     return [sun + moon, sun + 0.97 * moon, sun + 0.92 * moon]
 
 
-def _ground(sky, heavens, normal, view, up, distance, day, sunlit, toward_sun, footprint):
+def _ground(sky, heavens, normal, up, distance, day, soft, sunlit, toward_sun, footprint):
     """Land, sea, clouds and cities."""
     fixed = heavens.earth_from_station * jnp.asarray([[1.0], [1.0], [(1.0 - WGS84_F) ** -2]], jnp.float32)
     x, y, z = (fixed[row, 0] * normal[0] + fixed[row, 1] * normal[1] + fixed[row, 2] * normal[2] for row in range(3))
@@ -328,10 +334,9 @@ def _ground(sky, heavens, normal, view, up, distance, day, sunlit, toward_sun, f
     near_u, near_v = _octahedral(x + step * sx, y + step * sy, z + step * sz)
     to_u, to_v = (near_u - u) * (1.0 / step), (near_v - v) * (1.0 / step)
     climb = (cover_u - 0.502) * to_u + (cover_v - 0.502) * to_v
-    climb = 1.6 * climb + fine * edge * ((rough_u - 0.502) * to_u + (rough_v - 0.502) * to_v)
+    climb = 1.6 * climb + fine * (0.35 + edge) * ((rough_u - 0.502) * to_u + (rough_v - 0.502) * to_v)
     relief = jnp.clip(1.0 - climb / (0.25 + jnp.maximum(day, 0.0)), 0.45, 1.25)
 
-    soft = 0.5 * (day + jnp.sqrt(day * day + 1.6e-3)) * jnp.clip(1.0 + 4.0 * day, 0.0, 1.0)
     # A facet of sea that mirrors the Sun to us lies half way between the two.
     half_sq = 2.0 - 2.0 * toward_sun
     rise = (day + up) ** 2 / jnp.maximum(half_sq, 1e-6)
@@ -341,18 +346,19 @@ def _ground(sky, heavens, normal, view, up, distance, day, sunlit, toward_sun, f
     graze = 1.0 - jnp.minimum(cosine, 1.0)
     fresnel = 0.02 + 0.98 * graze * graze * graze * graze * graze
     glint = fresnel * slope / (4.0 * SLOPE * facing * facing * jnp.maximum(up, 0.05))
-    glint = jnp.where(day > 0, jnp.minimum(glint, 4.0), 0.0) * water
+    glint = jnp.where(day > 0, jnp.minimum(glint, 4.0), 0.0) * water * (0.8 + 1.2 * rough)
 
     open_sky = 1.0 - cover
-    lights = jnp.maximum(lights * (1.0 + 3.0 * rough), 0.0)
+    lights = jnp.maximum(lights * (1.0 + 4.0 * rough), 0.0)
     night = sky.night_gain * lights * lights * (1.0 - 0.85 * cover) * jnp.clip(-8.0 * day + 0.2, 0.0, 1.0)
-    mottled = 0.85 * (1.0 + (0.8 - 0.6 * water) * rough)
+    mottled = 0.72 * (1.0 + (0.45 - 0.35 * water) * rough)
     channels = []
-    for root, reached, lamp in zip((red, green, blue), sunlit, (1.0, 0.72, 0.38)):
+    white = 0.84 * relief * (1.0 + 0.35 * rough)
+    for root, reached, lamp, fill in zip((red, green, blue), sunlit, (1.0, 0.72, 0.38), (0.40, 0.45, 0.54)):
         # What air takes from the Sun's beam comes down in part, from all of the sky.
-        diffuse = soft * (0.45 + 0.55 * reached)
+        diffuse = soft * (fill + (1.0 - fill) * reached)
         bare = mottled * root * root * diffuse + glint * reached
-        channels.append(bare * open_sky + 0.86 * relief * diffuse * cover + night * lamp)
+        channels.append(bare * open_sky + white * diffuse * cover + night * lamp)
     return channels
 
 
