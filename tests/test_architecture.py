@@ -17,7 +17,7 @@ FLOORS = {
         {"task", "camera"},
         {"env"},
         {"field", "episode"},
-        {"policies", "render"},
+        {"policies"},
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
         {"cli"},

@@ -31,7 +31,8 @@ def test_every_member_exists_and_is_seen_by_editors(package):
 
 
 def test_the_keywords_of_make_are_those_of_the_configuration():
-    beside = {"config", "preset", "render_mode", "dynamics", "sensors", "max_episode_steps", "disable_env_checker"}
+    beside = {"config", "preset", "render_mode", "width", "height", "camera_name", "dynamics", "sensors"}
+    beside |= {"max_episode_steps", "disable_env_checker"}
     hints = get_type_hints(owm_envs.DockingKeywords)
     assert {*hints} == {*DockingConfig.model_fields} - {"fidelity"} | beside
     assert {*get_args(hints["preset"])} == {*CONFIG_PRESETS}

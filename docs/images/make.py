@@ -11,9 +11,9 @@ from matplotlib.patches import Circle, Rectangle
 
 from astrojax.attitude import quat_rotate
 from owm.scores.flights import Flights
-from owm_envs.render.schematic import draw_schematic
+from owm_envs.camera.schematic import Drawing, Vehicle, draw_station, schematics
+from owm_envs.camera.views import camera
 from owm_envs.station import CHASER, PORTS, bounds, goal_poses, hull_boxes, port_index
-from owm_envs.station.picture import draw_station
 
 HERE = Path(__file__).parent
 RADIUS = 2.25
@@ -30,20 +30,20 @@ def approach(demo: Path) -> None:
     path = flights.trajectory[flight]
     path = path[np.isfinite(path[:, 0])]
     shown = len(path) - 60
-    lines = [
-        "flown by   world model",
-        f"t {shown * 0.25:.1f} s",
-        f"to goal {np.linalg.norm(path[shown, :3] - goal_poses()[port, :3]):.2f} m",
-        f"speed {np.linalg.norm(path[shown, 3:6]):.2f} m/s",
+    rows = [
+        ("flown by", "world model"),
+        ("time", f"{shown * 0.25:.1f} s"),
+        ("to goal", f"{np.linalg.norm(path[shown, :3] - goal_poses()[port, :3]):.2f} m"),
+        ("speed", f"{np.linalg.norm(path[shown, 3:6]):.2f} m/s"),
     ]
-    track = path[: shown + 1, :3]
-    picture = draw_schematic(hull_boxes(), goal_poses(), path[shown], track, port, lines, size=(1280, 720))
+    vehicle = Vehicle(path[shown], path[: shown + 1, :3], port, np.zeros(3))
+    (picture,) = schematics([Drawing([vehicle], PORTS[port].name, rows)], size=(1280, 720))
     cv2.imwrite(str(HERE / "approach.png"), picture[..., ::-1])
 
 
 def station() -> None:
     """The parts, the boxes and the ports."""
-    picture = draw_station((1120, 700))
+    picture = draw_station(camera("station_isometric", width=1120, height=700, samples=2), boxes=hull_boxes())
     cv2.imwrite(str(HERE / "station.png"), picture[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 

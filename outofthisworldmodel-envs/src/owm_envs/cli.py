@@ -191,28 +191,42 @@ def station_import(
 
 
 def station_show(
-    out: Path = Path("station.png"), hull: Path | None = None, width: int = 1600, height: int = 1000
+    out: Annotated[Path, tyro.conf.Positional] = Path("station.png"),
+    camera: str = "station_isometric",
+    size: tuple[int, int] = (1600, 1000),
+    boxes: bool = True,
+    ports: bool = True,
+    chaser: str | None = None,
+    hull: Path | None = None,
 ) -> None:
     """Draw the station with its collision boxes, ports and corridors, and report how well the boxes fit.
 
     Args:
         out: PNG file to write.
-        hull: File of boxes that `station import --out` wrote, to draw in place of the station's own.
-        width: Pixels.
-        height: Pixels.
+        camera: A camera's name; an unknown one has all of them listed.
+        size: Width and height in pixels.
+        boxes: Draw the boxes.
+        ports: Draw ports and corridors.
+        chaser: Port at whose hold pose a chaser is to be; the chaser's cameras take the first port.
+        hull: File of boxes that `station import --out` wrote, in place of the station's own.
     """
     import cv2
 
-    from owm_envs.station import PARTS, hull_boxes, hull_quality, load_hull
-    from owm_envs.station.picture import draw_station
+    from owm_envs.camera.schematic import draw_station
+    from owm_envs.camera.views import camera as named
+    from owm_envs.station import PARTS, PORTS, hull_boxes, hull_quality, load_hull, port_index
 
-    boxes = hull_boxes() if hull is None else load_hull(hull)
-    image = draw_station((width, height), boxes)
-    done, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if not done or out.suffix.lower() != ".png":
-        raise ValueError(f"out must be a .png file; got {out}")
+    if out.suffix.lower() != ".png":
+        raise ValueError(f"the picture must be a .png file; got {out}")
+    corners = hull_boxes() if hull is None else load_hull(hull)
+    shot = named(camera, width=size[0], height=size[1], samples=2)
+    if chaser is None and shot.mount == "chaser":
+        chaser = PORTS[0].name
+    at = None if chaser is None else port_index(chaser)
+    image = draw_station(shot, at, corners if boxes else None, ports)
+    _, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     out.write_bytes(data.tobytes())
-    quality = hull_quality(boxes)
+    quality = hull_quality(corners)
     print(
         f"{out}: {len(PARTS)} parts, {quality.boxes} boxes covering {100.0 * quality.covered:.2f} % of their surface; "
         f"excess {quality.excess_mean:.2f} m mean, {quality.excess_p99:.2f} m at the 99th percentile"

@@ -53,6 +53,10 @@ class DockingKeywords(TypedDict, total=False):
     forces: Part
     randomization: Part
     render_mode: Literal["rgb_array"] | None
+    width: int
+    height: int
+    camera_name: str | None
+    """Whose picture `render()` gives; the flight from outside if None."""
     dynamics: Any
     """Equations of motion of your own, a `Dynamics`."""
     sensors: Sequence[Any]

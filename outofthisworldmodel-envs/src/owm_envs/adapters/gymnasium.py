@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from owm_envs.adapters.batch import BatchProgram, Seen
 from owm_envs.adapters.parts import Shown, each, shown, space_of
+from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset
 from owm_envs.adapters.seeds import drawn_seed, slot_seeds
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics
@@ -24,26 +25,20 @@ from owm_envs.task.sensors import Sensor
 from owm_envs.view import View
 from owm_envs.words import checked_seed, unknown
 
-RENDER_MODES = ("rgb_array",)
-
 
 class _Shell:
     """What both adapters share: the configuration, spaces, the opaque state and its pictures."""
 
-    def _build(
-        self, config, overrides, num_envs: int, autoreset: AutoresetMode, render_mode: str | None, dynamics, sensors
-    ):
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
+    def _build(self, config, overrides, num_envs: int, autoreset: AutoresetMode, pictures: Pictures, dynamics, sensors):
         self.config: DockingConfig = load_config(config, **overrides)
-        self.render_mode = render_mode
+        self.render_mode = pictures.mode
+        self._pictures = pictures
         self.docking_env = DockingEnv(self.config, dynamics=dynamics, sensors=sensors)
         self._program = BatchProgram(self.docking_env, autoreset, num_envs)
         self._num_slots = num_envs
         self._state = None
-        self._paths: list[list[np.ndarray]] = [[] for _ in range(num_envs)]
         layout = self.docking_env.layout
-        limit = np.ones(6) if self.config.normalize else np.asarray(layout.wrench_limit)
+        self._limit = limit = np.ones(6) if self.config.normalize else np.asarray(layout.wrench_limit)
         action_space = spaces.Box(-limit.astype(np.float32), limit.astype(np.float32), dtype=np.float32)
         return space_of(self.docking_env.observation_parts), action_space
 
@@ -93,36 +88,24 @@ class _Shell:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         return action.reshape(self._num_slots, 6)
 
-    def _new_paths(self, info, slots) -> None:
-        if self.render_mode is not None:
-            for slot in slots:
-                self._paths[slot] = [View.of(info["true_state"][slot]).position.copy()]
-
-    def _extend_paths(self, info, restarted) -> None:
-        if self.render_mode is not None:
-            for slot, path in enumerate(self._paths):
-                if not restarted[slot]:
-                    path.append(View.of(info["true_state"][slot]).position.copy())
-            self._new_paths(info, np.flatnonzero(restarted))
-
-    def _picture(self, slot: int) -> np.ndarray:
-        from owm_envs.render.schematic import draw_schematic
-
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded("call reset() before render()")
+    def _drawn(self, slots: Sequence[int]) -> list[np.ndarray]:
+        need_reset(self._state)
         host = self._program.to_host(self._state)
-        view, port = host.view[slot], int(host.port[slot])
-        goal, seen = goal_poses()[port], View.of(view)
-        seconds = float(host.physics.elapsed[slot])
-        lines = [
-            f"{self.docking_env.name}   {PORT_NAMES[port]}",
-            f"t {seconds:6.1f} s   {OUTCOME_NAMES[int(host.outcome[slot])]}",
-            f"to goal {np.linalg.norm(seen.position - goal[:3]):7.2f} m",
-            f"speed {np.linalg.norm(seen.velocity):6.3f} m/s",
-            f"clearance {float(host.clearance.least[slot]):6.2f} m (least)",
-        ]
+        titles, rows = [], []
+        for slot in slots:
+            goal, view = goal_poses()[host.port[slot]], View.of(host.view[slot])
+            titles.append(f"{self.docking_env.name}   {PORT_NAMES[host.port[slot]]}")
+            values = {
+                "time": f"{host.physics.elapsed[slot]:.1f} s",
+                "outcome": OUTCOME_NAMES[int(host.outcome[slot])],
+                "to goal": f"{np.linalg.norm(view.position - goal[:3]):.2f} m",
+                "speed": f"{np.linalg.norm(view.velocity):.3f} m/s",
+                "clearance": f"{host.clearance.least[slot]:.2f} m (least)",
+            }
+            rows.append(list(values.items()))
         boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
-        return draw_schematic(boxes, goal_poses(), view, np.asarray(self._paths[slot]), port, lines)
+        alone = [[slot] for slot in slots]
+        return self._pictures.drawn(alone, host.view, host.port, [""] * self._num_slots, titles, rows, boxes)
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {k: v for k, v in self.__dict__.items() if k not in ("_program", "_state")}
@@ -145,6 +128,9 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         config: a `DockingConfig`, a mapping of its fields, or the path of a TOML file (a `str`, if the spec is to
             survive JSON).
         render_mode: None or "rgb_array".
+        width, height: pixels of a picture.
+        camera_name: whose picture, of `owm_envs.camera.views.CAMERA_NAMES`; None draws the flight from outside, with
+            a view along its corridor and the chaser's own.
         dynamics: equations of motion of your own in place of the fidelity's, as `DockingEnv` takes them.
         sensors: what the chaser carries beside relative navigation, as `DockingEnv` takes them. With any,
             observations are dicts of parts.
@@ -161,11 +147,15 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         config: Mapping[str, Any] | DockingConfig | str | os.PathLike | None = None,
         render_mode: str | None = None,
         *,
+        width: int = SIZE[0],
+        height: int = SIZE[1],
+        camera_name: str | None = None,
         dynamics: Dynamics | None = None,
         sensors: Sequence[Sensor] = (),
         **overrides: Any,
     ):
-        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, render_mode, dynamics, sensors)
+        pictures = Pictures(render_mode, width, height, camera_name, 1)
+        spaces_ = self._build(config, overrides, 1, AutoresetMode.DISABLED, pictures, dynamics, sensors)
         self.observation_space, self.action_space = spaces_
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
 
@@ -184,7 +174,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             # What the environment reports as its seed names the episode that it flies.
             super().reset(seed=seed)
         self._state, observation, info = self._program.reset(keys, ports)
-        self._new_paths(info, [0])
+        self._pictures.begin(info["true_state"], [0])
         return _first(observation), scalar_info(info, 0)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -194,7 +184,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             raise ValueError(f"action must be finite, got {np.asarray(action)}")
         self._state, output = self._program.step(self._state, actions)
         result = output.result
-        self._extend_paths(output.info, np.zeros(1, bool))
+        self._pictures.extend(output.info["true_state"], actions, self._limit, np.ones(1, bool))
         return (
             _first(result.observation),
             float(result.reward[0]),
@@ -205,7 +195,7 @@ class DockingGymEnv(_Shell, gymnasium.Env):
 
     def render(self) -> np.ndarray | None:
         """The current state as an RGB picture, or None without a render mode."""
-        return None if self.render_mode is None else self._picture(0)
+        return None if self.render_mode is None else self._drawn([0])[0]
 
 
 class DockingVectorEnv(_Shell, VectorEnv):
@@ -215,7 +205,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
 
     Args:
         num_envs: slots.
-        config, render_mode, dynamics, sensors, overrides: as for `DockingGymEnv`.
+        config, render_mode, width, height, camera_name, dynamics, sensors, overrides: as for `DockingGymEnv`.
         autoreset_mode: one of Gymnasium's `AutoresetMode`, or its name (which survives the spec's JSON).
         max_episode_steps: decisions after which an episode is truncated, if the horizon does not end it before.
         disable_env_checker: taken as `gymnasium.make` takes it; there is no checker of vector environments.
@@ -238,6 +228,9 @@ class DockingVectorEnv(_Shell, VectorEnv):
         render_mode: str | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         *,
+        width: int = SIZE[0],
+        height: int = SIZE[1],
+        camera_name: str | None = None,
         dynamics: Dynamics | None = None,
         sensors: Sequence[Sensor] = (),
         max_episode_steps: int | None = None,
@@ -252,8 +245,9 @@ class DockingVectorEnv(_Shell, VectorEnv):
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         mode = _autoreset_mode(autoreset_mode)
         self.num_envs = num_envs
+        pictures = Pictures(render_mode, width, height, camera_name, num_envs)
         self.single_observation_space, self.single_action_space = self._build(
-            config, overrides, num_envs, mode, render_mode, dynamics, sensors
+            config, overrides, num_envs, mode, pictures, dynamics, sensors
         )
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -289,7 +283,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
             self._state, parts, info = self._program.reset_where(self._state, mask, keys, ports)
             self._observation = each(partial(_where, mask), shown(parts), self._observation)
         self._ended = self._ended & ~mask
-        self._new_paths(info, np.flatnonzero(mask))
+        self._pictures.begin(info["true_state"], np.flatnonzero(mask))
         return each(np.copy, self._observation), _vector_info(info, mask)
 
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -310,14 +304,15 @@ class DockingVectorEnv(_Shell, VectorEnv):
                 info["final_obs"], info["_final_obs"] = shown(output.final_observation), ended
                 info["final_info"], info["_final_info"] = _vector_info(output.final_info, ended), ended
         self._ended = ended
-        self._extend_paths(output.info, restarted)
+        self._pictures.extend(output.info["true_state"], actions, self._limit, ~restarted)
+        self._pictures.begin(output.info["true_state"], np.flatnonzero(restarted))
         self._observation = shown(result.observation)
         terminated, truncated = result.terminated.copy(), result.truncated.copy()
         return each(np.copy, self._observation), result.reward.astype(np.float64), terminated, truncated, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture per slot, or None without a render mode."""
-        return None if self.render_mode is None else tuple(self._picture(i) for i in range(self.num_envs))
+        return None if self.render_mode is None else tuple(self._drawn(range(self.num_envs)))
 
     def _reset_mask(self, options) -> np.ndarray:
         mask = options.get("reset_mask")

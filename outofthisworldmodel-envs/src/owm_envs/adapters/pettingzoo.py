@@ -13,17 +13,18 @@ from gymnasium import spaces
 
 from owm_envs.adapters.batch import Seen, state_from_host, state_to_host
 from owm_envs.adapters.fork import about_to_use_jax
-from owm_envs.adapters.gymnasium import RENDER_MODES, scalar_info
+from owm_envs.adapters.gymnasium import scalar_info
 from owm_envs.adapters.parts import Shown, each, shown, space_of
+from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset
 from owm_envs.adapters.seeds import drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
 from owm_envs.env import FleetEnv, FleetLayout, FleetState, StepResult
 from owm_envs.flags import own_flags
-from owm_envs.station import goal_poses, port_index
+from owm_envs.station import port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import Sensor
-from owm_envs.view import VIEW_SIZE, View
+from owm_envs.view import VIEW_SIZE
 from owm_envs.words import checked_seed, unknown
 
 try:
@@ -116,6 +117,7 @@ class DockingParallelEnv(ParallelEnv):
         observe_others: whether observations end with where the other chasers are.
         sensors: what each chaser carries beside relative navigation, as `DockingEnv` takes them.
         render_mode: None or "rgb_array".
+        width, height, camera_name: as for `DockingGymEnv`; a chaser's camera is that of the first.
         overrides: fields of `DockingConfig` (`fidelity="iss-hcw"`, `noise="cooperative"`, ...), and `preset`.
 
     `reset(options={"dock_ports": NAMES})` assigns a port to each chaser, in order; what is None or missing is drawn.
@@ -137,20 +139,22 @@ class DockingParallelEnv(ParallelEnv):
         observe_others: bool = True,
         sensors: Sequence[Sensor] = (),
         render_mode: str | None = None,
+        width: int = SIZE[0],
+        height: int = SIZE[1],
+        camera_name: str | None = None,
         **overrides: Any,
     ):
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(unknown("render_mode", render_mode, RENDER_MODES))
         self.config: DockingConfig = load_config(config, **overrides)
         self.render_mode = render_mode
         self._observe_others = observe_others
         self._sensors = tuple(sensors)
         self._program = fleet_program(self.config, num_chasers, observe_others, self._sensors)
+        self._pictures = Pictures(render_mode, width, height, camera_name, num_chasers)
         self.metadata = {**type(self).metadata, "render_fps": max(1, round(1 / self.config.decision_dt))}
         self.possible_agents = [f"chaser_{index}" for index in range(num_chasers)]
         self.agents: list[str] = []
         limit = np.ones(6) if self.config.normalize else np.asarray(self.layout.own.wrench_limit)
-        limit = limit.astype(np.float32)
+        self._limit = limit = limit.astype(np.float32)
         self._action_spaces = {agent: spaces.Box(-limit, limit, dtype=np.float32) for agent in self.possible_agents}
         self._observation_spaces = {
             agent: space_of(self._program.env.observation_parts) for agent in self.possible_agents
@@ -158,7 +162,6 @@ class DockingParallelEnv(ParallelEnv):
         self.state_space = spaces.Box(-np.inf, np.inf, ((VIEW_SIZE + 12 + 1) * num_chasers,), np.float32)
         self._state: FleetState | None = None
         self._info: dict[str, np.ndarray] = {}
-        self._paths: list[list[np.ndarray]] = []
 
     @property
     def fleet_env(self) -> FleetEnv:
@@ -196,7 +199,7 @@ class DockingParallelEnv(ParallelEnv):
             key = seed_keys([checked_seed(seed)])[0]
         self._state, observations, self._info = self._program.reset(key, ports)
         self.agents = list(self.possible_agents)
-        self._paths = [[position] for position in View.of(self._info["true_state"]).position]
+        self._pictures.begin(self._info["true_state"], range(len(self.possible_agents)))
         return self._by_agent(observations, self.agents), self._infos(self.agents)
 
     def step(self, actions: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], ...]:
@@ -211,10 +214,8 @@ class DockingParallelEnv(ParallelEnv):
         if not acting:
             return {}, {}, {}, {}, {}
         self._state, result, self._info = self._program.step(self._state, stacked)
-        positions = View.of(self._info["true_state"]).position
-        for agent, path, position in zip(self.possible_agents, self._paths, positions):
-            if agent in acting:
-                path.append(position)
+        moved = np.isin(self.possible_agents, acting)
+        self._pictures.extend(self._info["true_state"], stacked, self._limit, moved)
         rewards, terminated, truncated = (
             {agent: values[self.possible_agents.index(agent)].item() for agent in acting}
             for values in (result.reward, result.terminated, result.truncated)
@@ -234,10 +235,7 @@ class DockingParallelEnv(ParallelEnv):
         """The fleet as an RGB picture, or None without a render mode."""
         if self.render_mode is None:
             return None
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded("call reset() before render()")
-        from owm_envs.render.fleet import draw_fleet
-
+        need_reset(self._state)
         distances = np.linalg.norm(self._info["true_goal_error"][:, :3], axis=1)
         outcomes = [Outcome(code) for code in self._info["outcome"].tolist()]
         notes = [
@@ -246,15 +244,10 @@ class DockingParallelEnv(ParallelEnv):
         ]
         seconds = float(jax.device_get(self._state.chasers.physics.elapsed))
         boxes = np.concatenate([self._program.params.hull, self._program.params.obstacles])
-        return draw_fleet(
-            boxes,
-            goal_poses(),
-            self._info["true_state"],
-            [np.asarray(path) for path in self._paths],
-            self._info["port"].tolist(),
-            notes,
-            f"{self.config.fidelity}   t {seconds:.1f} s",
-        )
+        together = [range(len(notes))]
+        title = f"{self.config.fidelity}   t {seconds:.1f} s"
+        views, ports = self._info["true_state"], self._info["port"]
+        return self._pictures.drawn(together, views, ports, notes, [title], [[]], boxes)[0]
 
     def close(self) -> None:
         """Nothing to release."""

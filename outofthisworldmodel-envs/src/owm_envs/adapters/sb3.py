@@ -48,7 +48,7 @@ def make_vec_env(
         normalize: actions in [-1, 1] and scaled observations, what `stable_baselines3` expects.
         infos: "ended" fills an info only when its episode ends, "all" every step (slower for large batches).
         render_mode: None or "rgb_array".
-        overrides: fields of `DockingConfig`, `dynamics` and `sensors`.
+        overrides: fields of `DockingConfig`, and the other keywords of `DockingVectorEnv`.
 
     Raises:
         ValueError: an unknown id, field, preset or port (naming the nearest), or a value out of bounds.
@@ -203,7 +203,7 @@ class _Slot:
 
     def render(self) -> np.ndarray | None:
         """The slot's state as an RGB picture, or None without a render mode."""
-        return None if self.render_mode is None else self._batch._picture(self._index)
+        return None if self.render_mode is None else self._batch._drawn([self._index])[0]
 
 
 def _dock_port(options: Mapping[str, Any]) -> Any:

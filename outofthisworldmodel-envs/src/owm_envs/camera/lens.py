@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_multiply, quat_rotate, quat_to_rotation
@@ -57,6 +58,30 @@ def placed(camera: Camera, view: View) -> Pose:
         position = view.position.astype(jnp.float32) + quat_rotate(body, position)
         attitude = quat_multiply(body, attitude)
     return Pose(position, quat_to_rotation(attitude) * jnp.asarray([[-1.0, 1.0, 1.0]], jnp.float32))
+
+
+def project(
+    camera: Camera, pose: Pose, points: Float[Array, "... 3"]
+) -> tuple[Float[Array, "... 2"], Float[Array, "..."]]:
+    """Give where points appear in the picture; NumPy in, NumPy out.
+
+    Args:
+        camera: whose picture.
+        pose: as `placed` gives it; with its position at zero, `points` are directions to what is far away.
+        points: m, station frame.
+
+    Returns:
+        pixels: column and row, counted from the top left corner: the first pixel's middle is at (0.5, 0.5).
+        depth: along the optical axis [m]. In perspective, pixels mean nothing where it is not above 0.
+    """
+    xp = np if isinstance(points, np.ndarray) else jnp
+    offset = [points[..., j] - pose.position[j] for j in range(3)]
+    right, up, depth = (sum(pose.axes[j, axis] * offset[j] for j in range(3)) for axis in range(3))
+    if camera.projection == "perspective":
+        scale = 0.5 * camera.height / (xp.tan(0.5 * camera.field) * xp.where(depth > 0, depth, 1))
+    else:
+        scale = camera.height / camera.field
+    return xp.stack([0.5 * camera.width + scale * right, 0.5 * camera.height - scale * up], axis=-1), depth
 
 
 class Grid(NamedTuple):

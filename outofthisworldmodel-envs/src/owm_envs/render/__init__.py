@@ -1,1 +1,0 @@
-"""State to image; nothing here is imported unless pixels are asked for."""
