@@ -21,6 +21,7 @@ FLOORS = {
         {"policies", "render"},
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
+        {"film"},
         {"cli"},
         {"__main__"},
     ],

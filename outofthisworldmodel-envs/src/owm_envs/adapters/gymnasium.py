@@ -166,8 +166,8 @@ class DockingGymEnv(_Shell, gymnasium.Env):
         overrides: fields of `DockingConfig`, and `preset`.
 
     `reset(options={"dock_port": NAME})` assigns the port of that episode, and `"variation": NAMES` says which of the
-    configured ranges it draws from anew ("vehicle", "orbit", "light", "camera", "material"); the rest stays as it was in
-    the last episode. Without it everything is drawn anew. An action outside the box is clipped; one
+    configured ranges it draws from anew ("vehicle", "orbit", "light", "camera", "material"); the rest stays as it was
+    in the last episode. Without it everything is drawn anew. An action outside the box is clipped; one
     that is not finite raises ValueError.
     """
 

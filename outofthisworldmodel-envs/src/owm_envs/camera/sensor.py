@@ -33,6 +33,7 @@ PIXELS = "pixels"
 _DTYPES = {"rgb": "uint8", "gray": "uint8", "depth": "float32", "part": "int32", "port": "int32"}
 _LUMA = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Of sRGB's red, green and blue. Source: IEC 61966-2-1."""
+_CONFIG, _NOTHING_DRAWN = CameraConfig(), CameraRanges()
 _NOSE = 2.1
 """From the middle of a Dragon to its hatch [m]."""
 
@@ -57,8 +58,8 @@ class CameraSensor:
     their numbers alone.
     """
 
-    config: CameraConfig = CameraConfig()
-    ranges: CameraRanges = CameraRanges()
+    config: CameraConfig = _CONFIG
+    ranges: CameraRanges = _NOTHING_DRAWN
     """What is drawn for each episode."""
     name: str = PIXELS
     costly: ClassVar[bool] = True
