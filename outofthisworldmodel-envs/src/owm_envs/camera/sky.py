@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, UInt
 
-from astrojax.compilation import stored
 from astrojax.constants import R_EARTH, WGS84_F
 from owm_envs.camera.light import Heavens
+from owm_envs.camera.trace import settled
 
 SIDE = 2880
 """Cells along a side of the finest map: 8 km on the ground."""
@@ -207,7 +207,8 @@ def sky_radiance(
 
 
 def _radiance(sky, heavens, directions, footprint):
-    dx, dy, dz = stored([directions[..., axis] for axis in range(3)])
+    hold = functools.partial(settled, sky.night_gain >= 0)
+    dx, dy, dz = hold([directions[..., axis] for axis in range(3)])
 
     def along(vector):
         return dx * vector[0] + dy * vector[1] + dz * vector[2]
@@ -225,16 +226,16 @@ def _radiance(sky, heavens, directions, footprint):
     inverse = jax.lax.rsqrt(radius_sq)
     altitude = jnp.maximum(0.5 * (radius_sq - 1.0) * (1 + inverse) * inverse, 0.0)
     altitude = jnp.where(hits, 0.0, altitude)
-    nx, ny, nz = stored((px * inverse, py * inverse, pz * inverse))
-    falling, hits, up, distance, altitude = stored((falling, hits, up, distance, altitude))
+    nx, ny, nz = hold((px * inverse, py * inverse, pz * inverse))
+    falling, hits, up, distance, altitude = hold((falling, hits, up, distance, altitude))
 
     day = _light(heavens, nx, ny, nz, altitude)
     # Sunlight on level ground, spread over the terminator; it ends with the astronomical twilight.
     soft = 0.5 * (day + jnp.sqrt(day * day + 1.6e-3)) * jnp.clip(1.0 + 4.0 * day, 0.0, 1.0)
     toward_sun = along(heavens.sun)
-    day, soft, toward_sun = stored((day, soft, toward_sun))
-    air, through, sunlit = _air(day, soft, up, altitude, hits, toward_sun)
-    ground = _ground(sky, heavens, (nx, ny, nz), up, distance, day, soft, sunlit, toward_sun, footprint)
+    day, soft, toward_sun = hold((day, soft, toward_sun))
+    air, through, sunlit = _air(hold, day, soft, up, altitude, hits, toward_sun)
+    ground = _ground(hold, sky, heavens, (nx, ny, nz), up, distance, day, soft, sunlit, toward_sun, footprint)
     glow = _airglow(sky, altitude, hits, day)
     beyond = _sun_and_moon(heavens, along, toward_sun, footprint)
     channels = []
@@ -242,7 +243,7 @@ def _radiance(sky, heavens, directions, footprint):
         # Half of what the air takes from a wide scene goes forward and arrives all the same.
         behind = jnp.where(hits, jnp.sqrt(through[c]) * ground[c], through[c] * beyond[c])
         channels.append(air[c] + glow[c] + behind)
-    return stored(jnp.stack(stored(channels), -1))
+    return hold(jnp.stack(hold(channels), -1))
 
 
 def _light(heavens, nx, ny, nz, altitude):
@@ -257,7 +258,7 @@ def _air_masses(cosine):
     return 2.0 / (cosine + jnp.sqrt(cosine * cosine + width * width))
 
 
-def _air(day, soft, up, altitude, hits, toward_sun):
+def _air(hold, day, soft, up, altitude, hits, toward_sun):
     """Light scattered in by the air, what it lets through, and what of the Sun reaches the ground; by colour."""
     density = jnp.exp(altitude * (-1.0 / SCALE_HEIGHT))
     column = jnp.where(hits, _air_masses(up), 2.0 * GRAZING)
@@ -276,7 +277,7 @@ def _air(day, soft, up, altitude, hits, toward_sun):
         air.append(phase * (1.0 - passed) * (0.7 * reached + again))
         through.append(passed)
         sunlit.append(reached)
-    return stored((air, through, sunlit))
+    return hold((air, through, sunlit))
 
 
 def _airglow(sky, altitude, hits, day):
@@ -310,18 +311,18 @@ def _sun_and_moon(heavens, along, toward_sun, footprint):
     return [sun + moon, sun + 0.97 * moon, sun + 0.92 * moon]
 
 
-def _ground(sky, heavens, normal, up, distance, day, soft, sunlit, toward_sun, footprint):
+def _ground(hold, sky, heavens, normal, up, distance, day, soft, sunlit, toward_sun, footprint):
     """Land, sea, clouds and cities."""
     fixed = heavens.earth_from_station * jnp.asarray([[1.0], [1.0], [(1.0 - WGS84_F) ** -2]], jnp.float32)
     x, y, z = (fixed[row, 0] * normal[0] + fixed[row, 1] * normal[1] + fixed[row, 2] * normal[2] for row in range(3))
     wide = distance * footprint * jax.lax.rsqrt(jnp.maximum(up, 0.02)) * (SIDE / TEXEL)
     level = jnp.clip(jnp.log2(jnp.maximum(wide, 1e-3)) + 0.5, 0.0, LEVELS - 1.0).astype(jnp.int32)
-    x, y, z = stored((x, y, z))
-    u, v = stored(_octahedral(x, y, z))
-    corners, weights = _nodes(u, v, level)
-    red, green, blue, water = _mixed(sky.surface, corners, weights)
-    cover, lights, cover_u, cover_v = _mixed(sky.veil, corners, weights)
-    rough, rough_u, rough_v, _ = _mixed(sky.grain, *_grain_nodes(u, v))
+    x, y, z = hold((x, y, z))
+    u, v = hold(_octahedral(x, y, z))
+    corners, weights = _nodes(hold, u, v, level)
+    red, green, blue, water = _mixed(hold, sky.surface, corners, weights)
+    cover, lights, cover_u, cover_v = _mixed(hold, sky.veil, corners, weights)
+    rough, rough_u, rough_v, _ = _mixed(hold, sky.grain, *_grain_nodes(hold, u, v))
 
     # Below the maps' resolution the grain breaks up edges; it fades before pixels grow coarser than it.
     fine = jnp.clip(1.6 - 2.5 * wide, 0.0, 1.0)
@@ -371,7 +372,7 @@ def _octahedral(x, y, z):
     return u, v
 
 
-def _nodes(u, v, level):
+def _nodes(hold, u, v, level):
     """Indices of the four nodes around a place, and their weights in 256ths."""
     side = jnp.right_shift(jnp.int32(SIDE), level)
     start = 4 * ((SIDE * SIDE - side * side) // 3) + 4 * (SIDE - side) + level
@@ -379,16 +380,16 @@ def _nodes(u, v, level):
     length = side.astype(jnp.float32) * 256.0
     u, v = (jnp.clip((place + 1.0) * 0.5 * length, 0.0, length - 1.0).astype(jnp.int32) for place in (u, v))
     first = start + (v >> 8) * (side + 1) + (u >> 8)
-    return stored(((first, first + 1, first + side + 1, first + side + 2), _weights(u & 255, v & 255)))
+    return hold(((first, first + 1, first + side + 1, first + side + 2), _weights(u & 255, v & 255)))
 
 
-def _grain_nodes(u, v):
+def _grain_nodes(hold, u, v):
     """The same of the tile of grain, which repeats."""
     u, v = (((place + 1.0) * (0.5 * SIDE * FINE * 256)).astype(jnp.int32) for place in (u, v))
     left, low = (u >> 8) & (GRAIN - 1), (v >> 8) & (GRAIN - 1)
     right, high = (left + 1) & (GRAIN - 1), (low + 1) & (GRAIN - 1)
     low, high = low * GRAIN, high * GRAIN
-    return stored(((low + left, low + right, high + left, high + right), _weights(u & 255, v & 255)))
+    return hold(((low + left, low + right, high + left, high + right), _weights(u & 255, v & 255)))
 
 
 def _weights(u, v):
@@ -397,10 +398,10 @@ def _weights(u, v):
     return tuple(weight.astype(jnp.uint32) for weight in weights)
 
 
-def _mixed(packed, corners, weights):
+def _mixed(hold, packed, corners, weights):
     """The four bytes of a packed map at weighted nodes, in [0, 1]; two at a time, in the halves of a word."""
     even, odd = jnp.uint32(0), jnp.uint32(0)
-    texels = stored([packed.at[corner].get(mode="promise_in_bounds") for corner in corners])
+    texels = hold([packed.at[corner].get(mode="promise_in_bounds") for corner in corners])
     for texel, weight in zip(texels, weights):
         even = even + (texel & 0x00FF00FF) * weight
         odd = odd + ((texel >> 8) & 0x00FF00FF) * weight
