@@ -109,6 +109,41 @@ def test_keplerian_propagation_against_integration(x64):
 # --- forces ---
 
 
+def test_secular_rates_against_closed_forms(x64):
+    """Sun-synchronous, critically inclined and polar orbits; and a day of the station's by averaging the force."""
+    year = 365.2421897 * 86_400
+    sun_synchronous = elements.secular_rates_j2(jnp.array([7_178_137.0, 0.0, np.radians(98.6), 0.0, 0.0, 0.0]))
+    assert sun_synchronous[3] == pytest.approx(2 * np.pi / year, rel=0.01)
+    critical = elements.secular_rates_j2(jnp.array([2.66e7, 0.7, np.arccos(np.sqrt(0.2)), 0.0, 0.0, 0.0]))
+    assert abs(critical[4]) < 1e-18
+    polar = elements.secular_rates_j2(jnp.array([7e6, 0.01, np.pi / 2, 0.0, 0.0, 0.0]))
+    assert abs(polar[3]) < 1e-18
+    n, cos = elements.mean_motion(ISS[0]), np.cos(ISS[2])
+    scale = 1.5 * constants.J2 * (constants.R_EARTH / (ISS[0] * (1 - ISS[1] ** 2))) ** 2 * n
+    expected = [0, 0, 0, -scale * cos, scale * (2 - 2.5 * (1 - cos**2)),
+                scale * np.sqrt(1 - ISS[1] ** 2) * (1 - 1.5 * (1 - cos**2))]  # fmt: skip
+    np.testing.assert_allclose(elements.secular_rates_j2(jnp.array(ISS)), expected, rtol=1e-12)
+
+
+def test_the_node_of_an_integrated_orbit_drifts_at_its_secular_rate(x64):
+    def rate(_, y):
+        return jnp.concatenate([y[3:], gravity.accel_two_body(y[:3]) + gravity.accel_zonal(y[:3], 2)])
+
+    period = 2 * np.pi / float(elements.mean_motion(ISS[0]))
+    step = jnp.asarray(period / 400)
+
+    @jax.jit
+    def node_after(revolutions):
+        y = jax.lax.fori_loop(
+            0, 400 * revolutions, lambda k, y: integrators.rk4_step(rate, k * step, y, step),
+            elements.keplerian_to_cartesian(jnp.array(ISS)),
+        )  # fmt: skip
+        return elements.cartesian_to_keplerian(y)[3]
+
+    drift = float(node_after(15) - ISS[3]) / (15 * period)
+    assert drift == pytest.approx(float(elements.secular_rates_j2(jnp.array(ISS))[3]), rel=0.01)
+
+
 @pytest.mark.parametrize("degree", [0, 2, 3, 4, 5, 6])
 def test_zonal_gravity_against_brahe(degree, rng, x64):
     """Two-body plus zonal within 2e-14 m/s2 (of 9)."""

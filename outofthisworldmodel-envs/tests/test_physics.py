@@ -54,8 +54,9 @@ def fly(x64):
     def flown(view, wrenches=None, seconds=HORIZON, dt=0.5, day=2.0, second=1234.5, elements=None, **overrides):
         env = DockingEnv(None, **overrides)
         params = env.default_params()
-        if elements is not None:
-            params = params._replace(chief=params.chief._replace(elements=jnp.asarray(elements)))
+        if elements is not None:  # of a Kepler orbit, as the references have it
+            chief = params.chief._replace(elements=jnp.asarray(elements), drift=jnp.zeros(()))
+            params = params._replace(chief=chief)
         steps = round(seconds / SEGMENTS / dt)
         wrenches = np.zeros((SEGMENTS, 6)) if wrenches is None else wrenches
         epoch = params.chief.epoch + jnp.asarray([day, second])

@@ -75,6 +75,63 @@ def generate(
         print(f"{out / split}: {counts['episodes']} episodes, {counts['transitions']:,} transitions")
 
 
+def render(
+    run: Annotated[Path, tyro.conf.Positional],
+    out: Path | None = None,
+    split: str | None = None,
+    episodes: tuple[int, ...] = (),
+    camera: str = "chaser_fpv",
+    size: int = 256,
+    fps: float = 20.0,
+    speed: float = 10.0,
+    sheet: bool = False,
+) -> None:
+    """Film recorded flights: an MP4 for each episode, or a contact sheet.
+
+    Args:
+        run: Folder of a dataset, as `owm-envs generate` makes it.
+        out: Folder for the files; RUN-films by default.
+        split: train or val; val by default where there is one.
+        episodes: Their numbers; the first by default.
+        camera: chaser_fpv, chaser_isometric, chaser_top, station_isometric, station_top or station_fpv.
+        size: Rows and columns of a picture, pixels.
+        fps: Frames a second of the film.
+        speed: Seconds of flight in a second of film.
+        sheet: Draw a dozen pictures of each flight as one PNG, and no film.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from owm_envs.film import film_run
+
+    if split is None and (run / "val" / "meta" / "info.json").is_file():
+        split = "val"
+    folder = run.with_name(f"{run.resolve().name}-films") if out is None else out
+    columns = [
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    ]
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("frames", total=None)
+        files = film_run(
+            run,
+            folder,
+            split=split,
+            episodes=episodes,
+            name=camera,
+            size=size,
+            fps=fps,
+            speed=speed,
+            sheet=sheet,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    for file in files:
+        print(file)
+
+
 def show(config: Annotated[Path | None, tyro.conf.Positional] = None, preset: str = "data") -> None:
     """Print a complete configuration as TOML, each number with its unit and bounds.
 
@@ -249,6 +306,7 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     station.command(station_show, name="show")
     app = tyro.extras.SubcommandApp()
     app.command(generate)
+    app.command(render)
     app.command(config, name="config", help="Print or check a configuration.")
     app.command(ports)
     app.command(station, name="station", help="The station's mesh, its picture, and boxes from a mesh of your own.")

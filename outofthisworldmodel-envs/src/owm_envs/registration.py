@@ -36,6 +36,7 @@ class DockingKeywords(TypedDict, total=False):
     noise: Literal["none", "cooperative", "noncooperative"] | Part
     reward: Literal["data", "rl"] | Part
     ports: Sequence[str]
+    observation: Literal["state", "pixels", "state+pixels"]
     goal_error: bool
     normalize: bool
     precision: Literal["float32", "float64"]
@@ -50,6 +51,7 @@ class DockingKeywords(TypedDict, total=False):
     docking: Part
     chief: Part
     chaser: Part
+    camera: Part
     forces: Part
     randomization: Part
     render_mode: Literal["rgb_array"] | None

@@ -3,7 +3,7 @@
 All calls run in JAX's 64-bit mode, whatever the caller's; the state is opaque between calls.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -21,7 +21,10 @@ from owm_envs.cores import core_count, workers
 from owm_envs.env import DockingEnv, EnvState, StepResult, restart_where
 from owm_envs.flags import own_flags
 from owm_envs.task.events import Outcome
+from owm_envs.task.selected import apply_where
+from owm_envs.task.sensors import chunk_of_costly
 
+_PackedParams = tuple[dict[str, jax.Array], dict[str, Any]]
 State = tuple[dict[str, jax.Array], ...]
 """Of each piece of a batch, packed, its keys as words. Each array in or out costs a call a microsecond and more, and a
 typed key JAX's slow path."""
@@ -65,7 +68,8 @@ class BatchProgram:
     @cached_property
     def _slices(self) -> list[slice]:
         about_to_use_jax()
-        count, pieces = self.num_envs, piece_count(self.num_envs)
+        # A frame is enough for a thread to do.
+        count, pieces = self.num_envs, piece_count(self.num_envs, 1 if self.env.costly else _LEAST_PIECE)
         return [slice(k * count // pieces, (k + 1) * count // pieces) for k in range(pieces)]
 
     @cached_property
@@ -73,7 +77,7 @@ class BatchProgram:
         return _programs(self.env, self.num_envs // len(self._slices))
 
     @cached_property
-    def _packed(self) -> dict[str, jax.Array]:
+    def _packed(self) -> _PackedParams:
         with own_flags():
             return self._programs.pack_params(self.params)
 
@@ -101,12 +105,22 @@ class BatchProgram:
         return state, *self._programs.of_seen.unpack(host)
 
     def reset_where(
-        self, state: State, mask: np.ndarray, keys: np.ndarray, ports: np.ndarray
+        self,
+        state: State,
+        mask: np.ndarray,
+        keys: np.ndarray,
+        ports: np.ndarray,
+        anew: Mapping[str, bool] | None = None,
     ) -> tuple[State, Seen, dict[str, np.ndarray]]:
-        """Start an episode in the slots of `mask` (B,); the observation is meaningful there only."""
+        """Start an episode in the slots of `mask` (B,); the observation is meaningful there only.
+
+        Args:
+            anew: of each of `VARIATIONS` whether it is drawn anew, or kept from the slot's last episode; all when None.
+        """
         ports = np.asarray(ports, np.int32)
+        program = self._programs.reset_where
         state, host = self._side_by_side(
-            lambda k, part: self._programs.reset_where(self._packed, state[k], mask[part], keys[part], ports[part])
+            lambda k, part: program(self._packed, state[k], mask[part], keys[part], ports[part], anew)
         )
         return state, *self._programs.of_seen.unpack(host)
 
@@ -180,12 +194,14 @@ class _Programs:
         self.restart = jax.jit(self._restart_batch, compiler_options=options)
         self.of_params, self.of_state, self.of_seen, self.of_earned = (Packing() for _ in range(4))
 
-    def pack_params(self, params: Params) -> dict[str, jax.Array]:
-        """All numbers as one row for each dtype; equal structures have equal shapes."""
-        return self.of_params.pack(jax.tree.map(lambda leaf: leaf[None], params))
+    def pack_params(self, params: Params) -> _PackedParams:
+        """All numbers as one row for each dtype, but for those of sensors; equal structures have equal shapes."""
+        numbers = jax.tree.map(lambda leaf: leaf[None], params._replace(sensors={}))
+        return self.of_params.pack(numbers), params.sensors
 
     def _unpack_params(self, packed):
-        return jax.tree.map(lambda leaf: leaf[0], self.of_params.unpack(packed))
+        numbers, sensors = packed
+        return jax.tree.map(lambda leaf: leaf[0], self.of_params.unpack(numbers))._replace(sensors=sensors)
 
     def _pack_state(self, state):
         return self.of_state.pack(key_words(state))
@@ -195,6 +211,7 @@ class _Programs:
         return typed_keys(self.of_state.unpack(packed))
 
     def _seen(self, params, state, observation):
+        observation = {name: observation[name] for name in self.env.shown_parts}
         return self.of_seen.pack((observation, jax.vmap(self.env.info, (None, 0))(params, state)))
 
     def _start(self, params, words, ports):
@@ -206,12 +223,25 @@ class _Programs:
         state, observation = self._start(params, keys, ports)
         return self._pack_state(state), self._seen(params, state, observation)
 
-    def _reset_masked(self, params, state, mask, keys, ports):
+    def _reset_masked(self, params, state, mask, keys, ports, anew):
         self.traces["reset_where"] += 1
-        params = self._unpack_params(params)
-        fresh, observation = self._start(params, keys, ports)
-        state = select(mask, fresh, self.unpack_state(state))
+        params, before = self._unpack_params(params), self.unpack_state(state)
+
+        def start(words, port, before):
+            kept = {} if anew is None else {"before": before, "anew": anew}
+            return self.env.reset(params, key=_typed(words), port=port, **kept)
+
+        if self.env.costly:
+            old = before, self._nothing(mask.shape[0])
+            state, observation = apply_where(mask, start, old, keys, ports, before, chunk=chunk_of_costly() or 1)
+        else:
+            fresh, observation = jax.vmap(start)(keys, ports, before)
+            state = select(mask, fresh, before)
         return self._pack_state(state), self._seen(params, state, observation)
+
+    def _nothing(self, count):
+        """The parts of observations that nobody reads."""
+        return {n: jnp.zeros((count, *part.shape), part.dtype) for n, part in self.env.observation_parts.items()}
 
     def _step_batch(self, params, state, actions):
         self.traces["step"] += 1
@@ -225,8 +255,7 @@ class _Programs:
     def _restart_batch(self, params, state, due):
         self.traces["restart"] += 1
         params = self._unpack_params(params)
-        parts = self.env.observation_parts
-        observation = {name: jnp.zeros((due.shape[0], *part.shape), part.dtype) for name, part in parts.items()}
+        observation = self._nothing(due.shape[0])
         state, observation = restart_where(self.env, params, due, self.unpack_state(state), observation)
         return self._pack_state(state), self._seen(params, state, observation)
 
@@ -237,11 +266,11 @@ def _programs(env: DockingEnv, num_envs: int) -> _Programs:
     return _Programs(env)
 
 
-def piece_count(num_envs: int) -> int:
+def piece_count(num_envs: int, least: int = _LEAST_PIECE) -> int:
     """Into how many equal pieces a batch is cut: as many as there are cores, if each keeps enough to do."""
     if jax.default_backend() != "cpu":
         return 1
-    fits = [n for n in range(1, core_count() + 1) if num_envs % n == 0 and num_envs // n >= _LEAST_PIECE]
+    fits = [n for n in range(1, core_count() + 1) if num_envs % n == 0 and num_envs // n >= least]
     return max(fits, default=1)
 
 

@@ -1,7 +1,7 @@
 """Gymnasium's `Env` and `VectorEnv` over the compiled batch; the scalar one is a batch of one."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -21,6 +21,7 @@ from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.randomization import VARIATIONS, drawable
 from owm_envs.task.sensors import Sensor
 from owm_envs.view import View
 from owm_envs.words import checked_seed, unknown
@@ -40,7 +41,7 @@ class _Shell:
         layout = self.docking_env.layout
         self._limit = limit = np.ones(6) if self.config.normalize else np.asarray(layout.wrench_limit)
         action_space = spaces.Box(-limit.astype(np.float32), limit.astype(np.float32), dtype=np.float32)
-        return space_of(self.docking_env.observation_parts), action_space
+        return space_of(self.docking_env.shown_parts), action_space
 
     @property
     def layout(self) -> ObservationLayout:
@@ -74,6 +75,20 @@ class _Shell:
             if key not in known:
                 raise ValueError(unknown("reset option", key, known))
         return options or {}
+
+    def _anew(self, options: Mapping[str, Any]) -> dict[str, bool] | None:
+        """Of what may be drawn by itself whether it is drawn anew; None for all of it."""
+        if "variation" not in options:
+            return None
+        asked, known = options["variation"], drawable(self.config)
+        if isinstance(asked, str) or not isinstance(asked, Collection):
+            raise ValueError(f"variation must be a list of names ({', '.join(known) or 'none'}), got {asked!r}")
+        for name in asked:
+            if not known:
+                raise ValueError(f"variation {name!r} has nothing to draw from: configure ranges in randomization")
+            if name not in known:
+                raise ValueError(unknown("variation", name, known))
+        return {name: name in asked for name in VARIATIONS}
 
     def _actions(self, action, shape: tuple[int, ...]) -> np.ndarray:
         action, precision = np.asarray(action), np.dtype(self.config.precision)
@@ -136,7 +151,9 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             observations are dicts of parts.
         overrides: fields of `DockingConfig`, and `preset`.
 
-    `reset(options={"dock_port": NAME})` assigns the port of that episode. An action outside the box is clipped; one
+    `reset(options={"dock_port": NAME})` assigns the port of that episode, and `"variation": NAMES` says which of the
+    configured ranges it draws from anew ("vehicle", "orbit", "light", "camera", "material"); the rest stays as it was
+    in the last episode. Without it everything is drawn anew. An action outside the box is clipped; one
     that is not finite raises ValueError.
     """
 
@@ -164,8 +181,8 @@ class DockingGymEnv(_Shell, gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode; without a seed it follows from the last one."""
-        options = self._check_options(options, ("dock_port",))
-        ports = self._slot_ports(options)
+        options = self._check_options(options, ("dock_port", "variation"))
+        ports, anew = self._slot_ports(options), self._anew(options)
         if seed is None and self._state is not None:
             keys = self._program.next_keys(self._state)
         else:
@@ -173,7 +190,10 @@ class DockingGymEnv(_Shell, gymnasium.Env):
             keys = self._program.keys([seed])
             # What the environment reports as its seed names the episode that it flies.
             super().reset(seed=seed)
-        self._state, observation, info = self._program.reset(keys, ports)
+        if anew is None or self._state is None:
+            self._state, observation, info = self._program.reset(keys, ports)
+        else:
+            self._state, observation, info = self._program.reset_where(self._state, np.ones(1, bool), keys, ports, anew)
         self._pictures.begin(info["true_state"], [0])
         return _first(observation), scalar_info(info, 0)
 
@@ -210,7 +230,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
         max_episode_steps: decisions after which an episode is truncated, if the horizon does not end it before.
         disable_env_checker: taken as `gymnasium.make` takes it; there is no checker of vector environments.
 
-    `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool})`. A slot whose
+    `reset(options={"dock_port": NAME or one per slot (None draws it), "reset_mask": (num_envs,) bool,
+    "variation": NAMES})`, the last as for `DockingGymEnv`. A slot whose
     action is not finite ends as `Outcome.INVALID_ACTION`. In `info`, arrays are batched; a mask `_name` says where
     `name` is set.
     """
@@ -261,8 +282,8 @@ class DockingVectorEnv(_Shell, VectorEnv):
         self, *, seed: int | Sequence[int | None] | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode in every slot, or in those of `options["reset_mask"]`."""
-        options = self._check_options(options, ("dock_port", "reset_mask"))
-        ports = self._slot_ports(options)
+        options = self._check_options(options, ("dock_port", "reset_mask", "variation"))
+        ports, anew = self._slot_ports(options), self._anew(options)
         mask = self._reset_mask(options)
         if seed is None and self._state is None:
             seed = drawn_seed(self.np_random)
@@ -274,13 +295,13 @@ class DockingVectorEnv(_Shell, VectorEnv):
         else:
             seeded = np.array([s is not None for s in seeds])
             keys = self._program.choose_keys(seeded, [s or 0 for s in seeds], self._state)
-        if self._state is None or mask.all():
+        if self._state is None or (mask.all() and anew is None):
             if not mask.all():
                 raise gymnasium.error.ResetNeeded("the first reset() must start every slot: no reset_mask yet")
             self._state, parts, info = self._program.reset(keys, ports)
             self._observation = shown(parts)
         else:
-            self._state, parts, info = self._program.reset_where(self._state, mask, keys, ports)
+            self._state, parts, info = self._program.reset_where(self._state, mask, keys, ports, anew)
             self._observation = each(partial(_where, mask), shown(parts), self._observation)
         self._ended = self._ended & ~mask
         self._pictures.begin(info["true_state"], np.flatnonzero(mask))

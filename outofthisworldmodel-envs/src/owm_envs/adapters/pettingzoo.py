@@ -156,9 +156,7 @@ class DockingParallelEnv(ParallelEnv):
         limit = np.ones(6) if self.config.normalize else np.asarray(self.layout.own.wrench_limit)
         self._limit = limit = limit.astype(np.float32)
         self._action_spaces = {agent: spaces.Box(-limit, limit, dtype=np.float32) for agent in self.possible_agents}
-        self._observation_spaces = {
-            agent: space_of(self._program.env.observation_parts) for agent in self.possible_agents
-        }
+        self._observation_spaces = {agent: space_of(self._program.env.shown_parts) for agent in self.possible_agents}
         self.state_space = spaces.Box(-np.inf, np.inf, ((VIEW_SIZE + 12 + 1) * num_chasers,), np.float32)
         self._state: FleetState | None = None
         self._info: dict[str, np.ndarray] = {}
@@ -288,7 +286,8 @@ class DockingParallelEnv(ParallelEnv):
 
     def _by_agent(self, parts: dict[str, np.ndarray], agents: list[str]) -> dict[str, Shown]:
         slots = {agent: self.possible_agents.index(agent) for agent in agents}
-        return {agent: each(lambda rows, slot=slot: rows[slot].copy(), shown(parts)) for agent, slot in slots.items()}
+        seen = shown({name: parts[name] for name in self._program.env.shown_parts})
+        return {agent: each(lambda rows, slot=slot: rows[slot].copy(), seen) for agent, slot in slots.items()}
 
     def _infos(self, agents: list[str]) -> dict[str, dict[str, Any]]:
         info = {name: np.array(value) for name, value in self._info.items()}

@@ -75,7 +75,8 @@ class DockingVecEnv(VecEnv):
     The info of an ended episode holds `terminal_observation`, the truth at its end (outcome, port, closest approach,
     ...) and `TimeLimit.truncated`, true only if the horizon ended it. `reset_infos` holds the starts. A slot whose
     action is not finite ends as `Outcome.INVALID_ACTION`; wrap in `VecCheckNan` to have it raise.
-    `set_options({"dock_port": NAME})`, or one such dict per slot, assigns ports at the next `reset()`.
+    `set_options({"dock_port": NAME})`, or one such dict per slot, assigns ports at the next `reset()`; `"variation"`
+    may be set for all slots alike.
 
     Args:
         n_envs, config, render_mode, overrides: as for `DockingVectorEnv`.
@@ -103,8 +104,13 @@ class DockingVecEnv(VecEnv):
         """Start an episode in every slot, with the seeds of `seed()` and options of `set_options()` once."""
         if len(self._options) != self.num_envs:
             raise ValueError(f"set_options names {len(self._options)} options for {self.num_envs} environments")
-        ports = [_dock_port(options) for options in self._options]
-        options = None if all(port is None for port in ports) else {"dock_port": ports}
+        ports = [_checked(options).get("dock_port") for options in self._options]
+        options = {} if all(port is None for port in ports) else {"dock_port": ports}
+        varied = [given["variation"] for given in self._options if "variation" in given]
+        if varied:
+            if len(varied) < self.num_envs or any(list(names) != list(varied[0]) for names in varied):
+                raise ValueError("variation must be the same for every slot: set_options({'variation': NAMES})")
+            options["variation"] = varied[0]
         observation, info = self.batch.reset(seed=self._seeds, options=options)
         self._actions = None
         self.reset_infos = _rows(info, np.arange(self.num_envs))
@@ -196,9 +202,10 @@ class _Slot:
         """Start an episode in this slot alone: (observation, info)."""
         count = self._batch.num_envs
         seeds, ports = [None] * count, [None] * count
-        seeds[self._index], ports[self._index] = seed, _dock_port(options or {})
+        own = dict(_checked(options or {}))
+        seeds[self._index], ports[self._index] = seed, own.pop("dock_port", None)
         mask = np.arange(count) == self._index
-        observation, info = self._batch.reset(seed=seeds, options={"dock_port": ports, "reset_mask": mask})
+        observation, info = self._batch.reset(seed=seeds, options={**own, "dock_port": ports, "reset_mask": mask})
         return _row(observation, self._index), _rows(info, np.array([self._index]))[0]
 
     def render(self) -> np.ndarray | None:
@@ -206,11 +213,11 @@ class _Slot:
         return None if self.render_mode is None else self._batch._drawn([self._index])[0]
 
 
-def _dock_port(options: Mapping[str, Any]) -> Any:
+def _checked(options: Mapping[str, Any]) -> Mapping[str, Any]:
     for key in options:
-        if key != "dock_port":
-            raise ValueError(unknown("reset option", key, ("dock_port",)))
-    return options.get("dock_port")
+        if key not in ("dock_port", "variation"):
+            raise ValueError(unknown("reset option", key, ("dock_port", "variation")))
+    return options
 
 
 def _row(observation: Shown, slot: int) -> Shown:

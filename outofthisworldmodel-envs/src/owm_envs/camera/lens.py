@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_multiply, quat_rotate, quat_to_rotation
-from owm_envs.camera.trace import SIDE
+from owm_envs.camera.trace import LANES, SIDE
 from owm_envs.camera.vectors import Vector
 from owm_envs.view import View
 
@@ -84,47 +84,60 @@ def project(
     return xp.stack([0.5 * camera.width + scale * right, 0.5 * camera.height - scale * up], axis=-1), depth
 
 
-class Rays(NamedTuple):
-    """The rays of a picture: tiles row by row, in each 64 pixels row by row."""
+class Grid(NamedTuple):
+    """How a picture is cut into tiles, on the plane at distance 1 of a perspective camera, or in metres."""
 
-    origin: Vector
-    """(T, 64), or (1, 1) where all start at one point [m]."""
-    way: Vector
-    """Unit directions, (T, 64), or (1, 1) where all run parallel."""
     across: Float[Array, "C"]
+    """Borders of the columns, from the left."""
     down: Float[Array, "R"]
-    """Borders of the tiles' columns and rows, as `columns_and_rows` takes them."""
-    spread: Float[Array, ""]
-    """Width of a ray at distance 1, or at any if parallel [m]."""
+    """Borders of the rows, falling from the top."""
+    step: Float[Array, ""]
+    """Width of a sample."""
 
 
-def rays(camera: Camera, pose: Pose) -> Rays:
-    """Give a ray through the middle of each of the picture's samples."""
-    height, width = camera.height * camera.samples, camera.width * camera.samples
-    rows, columns = -(-height // SIDE), -(-width // SIDE)
+def grid(camera: Camera) -> Grid:
+    """Cut a picture into tiles; the last ones of a row or column may reach beyond it."""
+    rows, columns = _tiles(camera)
     perspective = camera.projection == "perspective"
     extent = 2.0 * jnp.tan(0.5 * camera.field) if perspective else camera.field
-    step = extent.astype(jnp.float32) / height
-    across = step * (jnp.arange(columns + 1, dtype=jnp.float32) * SIDE - 0.5 * width)
-    down = step * (0.5 * height - jnp.arange(rows + 1, dtype=jnp.float32) * SIDE)
-    inner = step * (jnp.arange(SIDE, dtype=jnp.float32) + 0.5)
-    x = across[None, :-1, None, None] + inner[None, None, None, :]
-    y = down[:-1, None, None, None] - inner[None, None, :, None]
-    x, y = (a.reshape(rows * columns, SIDE * SIDE) for a in jnp.broadcast_arrays(x, y))
+    step = extent.astype(jnp.float32) / (camera.height * camera.samples)
+    across = step * (jnp.arange(columns + 1, dtype=jnp.float32) * SIDE - 0.5 * camera.width * camera.samples)
+    down = step * (0.5 * camera.height * camera.samples - jnp.arange(rows + 1, dtype=jnp.float32) * SIDE)
+    return Grid(across, down, step)
+
+
+def _tiles(camera: Camera) -> tuple[int, int]:
+    """Rows and columns of tiles."""
+    return -(-camera.height * camera.samples // SIDE), -(-camera.width * camera.samples // SIDE)
+
+
+class Rays(NamedTuple):
+    """Rays through the middles of samples: 64 a tile, row by row."""
+
+    origin: Vector
+    """(B, 64), or (1, 1) where all start at one point [m]."""
+    way: Vector
+    """Unit directions, (B, 64), or (1, 1) where all run parallel."""
+
+
+def rays(camera: Camera, pose: Pose, grid: Grid, tiles: Int[Array, "B"]) -> Rays:
+    """Give the rays of some tiles, which count row by row."""
+    inner = grid.step * (jnp.arange(SIDE, dtype=jnp.float32) + 0.5)
+    columns = grid.across.shape[0] - 1
+    x = grid.across[tiles % columns][:, None, None] + inner[None, None, :]
+    y = grid.down[tiles // columns][:, None, None] - inner[None, :, None]
+    x, y = (a.reshape(-1, LANES) for a in jnp.broadcast_arrays(x, y))
     right, up, forward = pose.axes.T
     offset = tuple(x * right[j] + y * up[j] for j in range(3))
     point = lambda a: tuple(a[j].reshape(1, 1) for j in range(3))
-    if perspective:
+    if camera.projection == "perspective":
         inverse = jax.lax.rsqrt(1.0 + x * x + y * y)
-        way = tuple((o + forward[j]) * inverse for j, o in enumerate(offset))
-        return Rays(point(pose.position), way, across, down, step)
-    origin = tuple(o + pose.position[j] for j, o in enumerate(offset))
-    return Rays(origin, point(forward), across, down, step)
+        return Rays(point(pose.position), tuple((o + forward[j]) * inverse for j, o in enumerate(offset)))
+    return Rays(tuple(o + pose.position[j] for j, o in enumerate(offset)), point(forward))
 
 
-def picture(values: Float[Array, "T 64"], camera: Camera) -> Float[Array, "H W"]:
+def arranged(values: Float[Array, "T 64"], camera: Camera) -> Float[Array, "H W"]:
     """Put the values of tiles, of every sample, in the places of the picture."""
-    height, width = camera.height * camera.samples, camera.width * camera.samples
-    rows, columns = -(-height // SIDE), -(-width // SIDE)
-    grid = values.reshape(rows, columns, SIDE, SIDE).swapaxes(1, 2)
-    return grid.reshape(rows * SIDE, columns * SIDE)[:height, :width]
+    rows, columns = _tiles(camera)
+    grid = values.reshape(rows, columns, SIDE, SIDE).swapaxes(1, 2).reshape(rows * SIDE, columns * SIDE)
+    return grid[: camera.height * camera.samples, : camera.width * camera.samples]

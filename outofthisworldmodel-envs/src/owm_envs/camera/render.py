@@ -1,10 +1,10 @@
 """From a scene to a picture of one instant; the caller vmaps.
 
-The work is cut into stages that run tile by tile. So what one stage finds is stored before the next one reads it, several
-times over; left to itself a compiler would find it anew for each reader.
+A picture is drawn in strips of some tiles, and each strip in stages: which part a ray meets, where, whether the Sun
+sees that place, and how it looks. What one stage finds is stored before the next one reads it (`stored`).
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -12,36 +12,57 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from owm_envs.camera.lens import Camera, Pose, Rays, picture, placed, rays
+from owm_envs.camera.lens import Camera, Grid, Pose, Rays, arranged, grid, placed, rays
 from owm_envs.camera.scene import Scene, assembled
-from owm_envs.camera.shade import developed, encoded, lights, radiance
-from owm_envs.camera.solids import Solids, crossing
+from owm_envs.camera.shade import Lights, developed, encoded, lights, radiance
+from owm_envs.camera.sky import sky_radiance, splat_stars
+from owm_envs.camera.solids import Quadric, Solids, Standing, normal_at, standing
 from owm_envs.camera.surface import look
-from owm_envs.camera.trace import LANES, between, columns_and_rows, sweep
-from owm_envs.camera.vectors import Vector, dot, plus, unit, where
+from owm_envs.camera.trace import (
+    LANES,
+    SIDE,
+    Bounds,
+    Words,
+    between,
+    bounds,
+    busiest_first,
+    columns_and_rows,
+    in_strips,
+    stored,
+    sweep,
+)
+from owm_envs.camera.vectors import Vector, dot, plus, where
 from owm_envs.station.ports import PORTS
 from owm_envs.view import View
 
 OUTPUTS = ("rgb", "depth", "part", "port", "normal")
-_CHUNKS = 16  # so many tiles go through a stage at a time that a picture takes this many steps
 _LIFT = 0.005  # a ray to the Sun starts this far off its surface [m]
 _PORT_RADIUS = 1.3  # what is this close to the middle of a mating plane belongs to the port [m]
 
 
-class Hit(NamedTuple):
-    """What a ray meets first; the numbers of a miss are finite and mean nothing."""
+class Met(NamedTuple):
+    """The part that each ray meets first; any part where it meets none."""
 
-    found: Array
     part: Array
     """Row of the sorted parts."""
-    distance: Array
-    """m."""
+    centre: Vector
+    axes: tuple[Vector, Vector, Vector]
+    half: Vector
+    quadric: Quadric
+    material: Array
+    """As of `Solids`."""
+
+
+class Hit(NamedTuple):
+    """Where each ray meets a part first; the numbers of a miss are finite and mean nothing."""
+
+    found: Array
+    met: Met
+    at: Standing
     point: Vector
+    """m, station frame."""
     normal: Vector
     """Station frame."""
-    place: Vector
-    face: Vector
-    """Point and normal in the part's own frame."""
 
 
 def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, "H W ..."]]:
@@ -54,135 +75,203 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
 
     Returns:
         by name of the camera's `outputs`: `rgb` (H, W, 3) uint8, sRGB. `depth` (H, W) float32, along the optical axis
-        [m], infinite where no part is. `part` (H, W) int32, row of the station's table of parts, further on of the
-        chaser's, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking port, -1 for
-        none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
+        [m], infinite where no part is. `part` (H, W) int32, row of the station's `PARTS`, further on of its `DETAILS`,
+        of the chaser's parts, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking
+        port, -1 for none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
     """
     pose = placed(camera, view)
-    cast = rays(camera, pose)
     parts, closest, order = _nearest_first(assembled(scene, view), pose, camera)
-    owner = _owners(*jax.lax.stop_gradient((parts, closest, cast, pose)), camera)
-    hits = by_tile(lambda tile: _meet(parts, *tile), (owner, cast.origin, cast.way))
-    outputs = {}
-    if "rgb" in camera.outputs:
-        outputs["rgb"] = _photograph(scene, parts, cast, hits, camera)
-    middle = lambda values: picture(values, camera)[
-        camera.samples // 2 :: camera.samples, camera.samples // 2 :: camera.samples
-    ]
-    if "depth" in camera.outputs:
-        along = tuple(pose.axes[j, 2] for j in range(3))
-        outputs["depth"] = middle(jnp.where(hits.found, hits.distance * dot(cast.way, along), jnp.inf))
-    if "part" in camera.outputs:
-        outputs["part"] = middle(jnp.where(hits.found, order[hits.part].astype(jnp.int32), -1))
-    if "port" in camera.outputs:
-        outputs["port"] = middle(_port(hits))
-    if "normal" in camera.outputs:
-        outputs["normal"] = jnp.stack([middle(jnp.where(hits.found, n, 0.0)) for n in hits.normal], axis=-1)
-    return outputs
+    cut = grid(camera)
+    perspective = camera.projection == "perspective"
+    words = columns_and_rows(
+        *jax.lax.stop_gradient((parts, pose.position, pose.axes, cut.across, cut.down)), perspective
+    )
+    tiles = busiest_first(words)
+    shadows = _shadows(parts, scene.heavens.sun)
+    shining = lights(scene.light, scene.heavens)
+
+    stars = _stars(scene, pose, cut, camera) if "rgb" in camera.outputs else ()
+
+    def strip(rows):
+        tiles, words, *stars = rows
+        cast = rays(camera, pose, cut, tiles)
+        hits = _hits(parts, closest, words, cast)
+        shown = {}
+        if "rgb" in camera.outputs:
+            lit = _sunlit(*jax.lax.stop_gradient((shadows, hits)))
+            shown["rgb"] = _exposed(scene, shining, hits, lit, cast, stars, cut.step, camera)
+        if "depth" in camera.outputs:
+            along = tuple(pose.axes[j, 2] for j in range(3))
+            shown["depth"] = jnp.where(hits.found, hits.at.distance * dot(cast.way, along), jnp.inf)
+        if "part" in camera.outputs:
+            shown["part"] = jnp.where(hits.found, order[hits.met.part].astype(jnp.int32), -1)
+        if "port" in camera.outputs:
+            shown["port"] = _port(hits)
+        if "normal" in camera.outputs:
+            shown["normal"] = tuple(jnp.where(hits.found, n, 0.0) for n in hits.normal)
+        return shown
+
+    everywhere = jnp.ones(tiles.shape, bool)
+    shown = in_strips(
+        strip, (tiles, words[tiles], *(channel[tiles] for channel in stars)), everywhere, max(16, tiles.shape[0] // 16)
+    )
+    back = jnp.argsort(tiles)
+    samples = jax.tree.map(lambda a: arranged(a[back], camera), shown)
+    return {name: _pixels(name, samples[name], camera) for name in samples}
 
 
-def by_tile(function: Callable[[Any], Any], arrays: Any) -> Any:
-    """Call a function of one tile for every tile, some at a time.
-
-    Args:
-        function: of `arrays` without their leading axis.
-        arrays: their leading axis is that of the tiles, or 1 for what all tiles share.
-    """
-    leaves, tree = jax.tree.flatten(arrays)
-    tiles = max(leaf.shape[0] for leaf in leaves)
-    own = [leaf.shape[0] == tiles for leaf in leaves]
-
-    def one(rows):
-        rows = iter(rows)
-        return function(tree.unflatten([next(rows) if mine else leaf[0] for mine, leaf in zip(own, leaves)]))
-
-    rows = [leaf for mine, leaf in zip(own, leaves) if mine]
-    return jax.lax.map(one, rows, batch_size=max(4, tiles // _CHUNKS))
+def _pixels(name: str, values: Any, camera: Camera) -> Shaped[Array, "H W ..."]:
+    """A picture of samples as one of pixels."""
+    if name == "rgb":
+        image = jnp.stack(values, axis=-1)
+        if camera.samples == 1:
+            return image
+        fine = (camera.height, camera.samples, camera.width, camera.samples, 3)
+        return encoded(image.reshape(fine).mean(axis=(1, 3)))
+    middle = slice(camera.samples // 2, None, camera.samples)
+    values = jax.tree.map(lambda a: a[middle, middle], values)
+    return jnp.stack(values, axis=-1) if isinstance(values, tuple) else values
 
 
 def _nearest_first(parts: Solids, pose: Pose, camera: Camera) -> tuple[Solids, Float[Array, "N"], Int[Array, "N"]]:
     """The parts in order of the least distance at which a ray may meet them; that distance; the order."""
-    offset = parts.centre - pose.position[None, :]
-    parallel = camera.projection == "orthographic"
-    along = offset @ pose.axes[:, 2] if parallel else jnp.sqrt((offset * offset).sum(axis=1))
-    closest = along - jnp.sqrt((parts.half * parts.half).sum(axis=1))
+    if camera.projection == "orthographic":
+        closest = bounds(parts, pose.axes[:, 2:].T).least[0] - pose.position @ pose.axes[:, 2]
+    else:
+        inside = jnp.abs(jnp.einsum("ni,nij->nj", pose.position[None, :] - parts.centre, parts.rotation))
+        outside = jnp.maximum(inside - parts.half, 0.0)
+        closest = jnp.sqrt((outside * outside).sum(axis=1))
     order = jnp.argsort(closest)
     return jax.tree.map(lambda a: a[order], parts), closest[order], order
 
 
-def _owners(parts: Solids, closest: Array, cast: Rays, pose: Pose, camera: Camera) -> Int[Array, "T 64"]:
-    """Which part each ray meets first, or -1."""
-    perspective = camera.projection == "perspective"
-    words = columns_and_rows(parts, pose.position, pose.axes, cast.across, cast.down, perspective)
-    everywhere = jnp.ones((words.shape[0], LANES), bool)
-    return sweep(parts, closest, words, cast.origin, cast.way, everywhere, first=True)
-
-
-def _meet(parts: Solids, owner: Int[Array, "64"], origin: Vector, way: Vector) -> Hit:
-    """Meet each ray with the part chosen for it, once more and for good: this can be differentiated."""
+def _hits(parts: Solids, closest: Float[Array, "N"], words: Words, cast: Rays) -> Hit:
+    """What each ray of some tiles meets first."""
+    live = jnp.ones((words.shape[0], LANES), bool)
+    owner, near = sweep(*jax.lax.stop_gradient((parts, closest, words, *cast)), live, first=True)
     found = owner >= 0
+    busy = found.any(axis=1)
     chosen = jnp.maximum(owner, 0)
+    met = stored(lambda chosen: _met(parts, chosen), chosen, busy)
+    at = stored(lambda strip: _stand(*strip), (met, jnp.where(found, near, 1.0), *cast), busy)
+    normal = stored(lambda strip: _turned_out(*strip), (met, at), busy)
+    return Hit(found, met, at, plus(cast.origin, at.distance, cast.way), normal)
+
+
+def _met(parts: Solids, chosen: Int[Array, "..."]) -> Met:
     row = lambda table: tuple(table[chosen, j] for j in range(table.shape[1]))
     axes = tuple(row(parts.rotation[:, :, j]) for j in range(3))
-    shift = tuple(o - c for o, c in zip(origin, row(parts.centre)))
-    start, ray = tuple(dot(axis, shift) for axis in axes), tuple(dot(axis, way) for axis in axes)
-    k, m, l, _ = quadric = row(parts.quadric)
-    met = crossing(start, ray, row(parts.half), quadric)
-    distance = jnp.where(found, met.enter, 1.0)
-    place = plus(start, distance, ray)
-    # The last constraint that the ray comes to fulfil is the face through which it enters.
-    flat = jnp.maximum(jnp.maximum(met.slabs[0], met.slabs[1]), met.slabs[2])
-    first = met.slabs[0] >= flat
-    second = ~first & (met.slabs[1] >= flat)
-    square = tuple(jnp.where(on, -jnp.sign(w), 0.0) for on, w in zip((first, second, ~first & ~second), ray))
-    round_ = unit((k * place[0], k * place[1], m * place[2] + 0.5 * l))
-    face = where(met.bow >= flat, round_, square)
-    normal = tuple(axes[0][i] * face[0] + axes[1][i] * face[1] + axes[2][i] * face[2] for i in range(3))
-    return Hit(found, chosen, distance, plus(origin, distance, way), normal, place, face)
+    return Met(chosen, row(parts.centre), axes, row(parts.half), row(parts.quadric), parts.material[chosen])
 
 
-def _photograph(scene: Scene, parts: Solids, cast: Rays, hits: Hit, camera: Camera) -> Shaped[Array, "H W 3"]:
-    lit = _sunlit(*jax.lax.stop_gradient((parts, hits, scene.heavens.sun)))
-    shining = lights(scene.light, scene.heavens)
+def _stand(met: Met, near: Array, origin: Vector, way: Vector) -> Standing:
+    shift = plus(origin, -1.0, met.centre)
+    start, ray = tuple(dot(axis, shift) for axis in met.axes), tuple(dot(axis, way) for axis in met.axes)
+    return standing(near, start, ray, met.half, met.quadric)
+
+
+def _turned_out(met: Met, at: Standing) -> Vector:
+    """The outward unit normal, station frame."""
+    inner = normal_at(at.face, at.place, met.quadric)
+    return tuple(dot(inner, tuple(axis[i] for axis in met.axes)) for i in range(3))
+
+
+def _exposed(
+    scene: Scene,
+    shining: Lights,
+    hits: Hit,
+    lit: Array,
+    cast: Rays,
+    stars: Sequence[Array],
+    step: Array,
+    camera: Camera,
+) -> tuple[Array, Array, Array]:
+    """Display light of the three colours, 0 to 1; encoded where no samples are to be averaged."""
     gain = jnp.exp2(camera.exposure)
-    perspective = camera.projection == "perspective"
 
-    def shade(tile):
-        hits, lit, way = tile
-        row = lambda table: tuple(table[hits.part, j] for j in range(table.shape[1]))
-        width = hits.distance * cast.spread if perspective else cast.spread
-        seen = look(scene.materials, parts.material[hits.part], hits.place, hits.face, row(parts.half), width)
-        light = radiance(shining, seen, hits.normal, tuple(-w for w in way), hits.distance, lit)
-        return tuple(developed(gain * jnp.where(hits.found, channel, 0.0)) for channel in light)
+    def shade(strip):
+        hits, lit, way = strip
+        met, at = hits.met, hits.at
+        width = at.distance * step if camera.projection == "perspective" else step
+        # What a pixel covers is longer on a surface seen at a slant.
+        width = width / jnp.maximum(-dot(hits.normal, way), 0.1)
+        inner = normal_at(at.face, at.place, met.quadric)
+        seen = look(scene.materials, met.material, at.place, inner, met.half, width)
+        light = radiance(shining, seen, hits.normal, tuple(-w for w in way), at.distance, lit)
+        return tuple(jnp.where(hits.found, channel, 0.0) for channel in light)
 
-    light = by_tile(shade, (hits, lit, cast.way))
-    if camera.samples == 1:
-        light = by_tile(lambda tile: tuple(map(encoded, tile)), light)
-    image = jnp.stack([picture(channel, camera) for channel in light], axis=-1)
-    if camera.samples > 1:
-        grid = (camera.height, camera.samples, camera.width, camera.samples, 3)
-        image = encoded(image.reshape(grid).mean(axis=(1, 3)))
-    return image
+    def develop(light):
+        light = tuple(developed(gain * channel) for channel in light)
+        return tuple(map(encoded, light)) if camera.samples == 1 else light
+
+    busy = hits.found.any(axis=1)
+    light = stored(shade, (hits, lit, cast.way), busy)
+    if scene.sky is not None:
+        way = tuple(jnp.broadcast_to(w, hits.found.shape) for w in cast.way)
+        sky = stored(lambda way: _behind(scene, way, step), way, ~hits.found.all(axis=1))
+        light = where(hits.found, light, plus(sky, 1.0, stars) if stars else sky)
+        busy = jnp.ones_like(busy)
+    return stored(develop, light, busy)
 
 
-def _sunlit(parts: Solids, hits: Hit, sun: Float[Array, "3"]) -> Float[Array, "T 64"]:
-    """Whether no other part stands between each point and the Sun, 0 or 1."""
-    towards = tuple(sun[j].reshape(1, 1) for j in range(3))
-    active = hits.found & (dot(hits.normal, towards) > 0)
-    points = plus(hits.point, _LIFT, hits.normal)
+def _behind(scene: Scene, way: Vector, step: Array) -> Vector:
+    """The sky along rays, but for its stars."""
+    light = sky_radiance(scene.sky, scene.heavens, jnp.stack(way, axis=-1), step)
+    return tuple(light[..., channel] for channel in range(3))
+
+
+def _stars(scene: Scene, pose: Pose, cut: Grid, camera: Camera) -> Sequence[Array]:
+    """What the stars add to each sample of each tile; nothing where rays run parallel."""
+    if scene.sky is None or camera.projection == "orthographic":
+        return ()
+    rows, columns = cut.down.shape[0] - 1, cut.across.shape[0] - 1
+
+    def project(towards):
+        right, up, forward = (towards @ pose.axes).T
+        ahead = forward > 1e-3
+        depth = cut.step * jnp.where(ahead, forward, 1.0)
+        corner = cut.across[0] / cut.step, cut.down[0] / cut.step
+        place = jnp.stack([right / depth - corner[0], corner[1] - up / depth], axis=-1)
+        return place - 0.5, ahead
+
+    light = splat_stars(scene.sky, scene.heavens, project, (rows * SIDE, columns * SIDE)) * camera.samples**2
+    tiled = light.reshape(rows, SIDE, columns, SIDE, 3).swapaxes(1, 2).reshape(rows * columns, LANES, 3)
+    return tuple(tiled[..., channel] for channel in range(3))
+
+
+class _Shadows(NamedTuple):
+    """What it takes to look for what stands between a point and the Sun."""
+
+    parts: Solids
+    towards: Float[Array, "3 3"]
+    """Two directions across the Sun's and that of the Sun, as rows."""
+    reach: Bounds
+
+
+def _shadows(parts: Solids, sun: Float[Array, "3"]) -> _Shadows:
     helper = jnp.where(jnp.abs(sun[2]) < 0.9, jnp.asarray([0, 0, 1], sun.dtype), jnp.asarray([1, 0, 0], sun.dtype))
     first = jnp.cross(helper, sun)
     first = first / jnp.sqrt((first * first).sum())
-    frame = jnp.stack([first, jnp.cross(sun, first), sun])
-    words = by_tile(lambda tile: between(parts, frame, *tile), (points, active))
-    anywhere = jnp.full(parts.present.shape, -jnp.inf, sun.dtype)
-    blocker = sweep(parts, anywhere, words, points, towards, active, first=False)
-    return (active & (blocker < 0)).astype(sun.dtype)
+    towards = jnp.stack([first, jnp.cross(sun, first), sun])
+    return _Shadows(parts, towards, bounds(parts, towards))
+
+
+def _sunlit(shadows: _Shadows, hits: Hit) -> Float[Array, "T 64"]:
+    """Whether no other part stands between each point and the Sun, 0 or 1."""
+    parts, towards, reach = shadows
+    sun = tuple(towards[2, j].reshape(1, 1) for j in range(3))
+    active = hits.found & (dot(hits.normal, sun) > 0)
+    points = plus(hits.point, _LIFT, hits.normal)
+    look_up = lambda strip: between(reach, parts.present, towards, *strip)
+    words = stored(look_up, (points, active), active.any(axis=1))
+    anywhere = jnp.full(parts.present.shape, -jnp.inf, towards.dtype)
+    blocker, _ = sweep(parts, anywhere, words, points, sun, active, first=False)
+    return (active & (blocker < 0)).astype(towards.dtype)
 
 
 def _port(hits: Hit) -> Int[Array, "T 64"]:
     """The docking port that each point belongs to."""
-    nearest, owner = jnp.full(hits.distance.shape, _PORT_RADIUS**2, hits.distance.dtype), jnp.full(hits.part.shape, -1)
+    nearest, owner = jnp.full(hits.found.shape, _PORT_RADIUS**2, jnp.float32), jnp.full(hits.found.shape, -1)
     for index, port in enumerate(PORTS):
         offset = tuple(p - np.float32(c) for p, c in zip(hits.point, port.interface))
         square = dot(offset, offset)

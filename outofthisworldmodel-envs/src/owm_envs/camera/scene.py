@@ -9,9 +9,11 @@ from jaxtyping import Array, Bool, Float
 from astrojax.attitude import quat_to_rotation
 from owm_envs.camera.light import Heavens
 from owm_envs.camera.shade import Light, default_light
+from owm_envs.camera.sky import Sky
 from owm_envs.camera.solids import Solids, joined, moved, solids
 from owm_envs.camera.surface import MATERIAL_NAMES, Materials, materials
 from owm_envs.station.chaser import CHASER
+from owm_envs.station.details import DETAILS
 from owm_envs.station.parts import PARTS
 from owm_envs.view import View
 
@@ -30,27 +32,31 @@ class Scene(NamedTuple):
     """All that a picture shows, but for where the chaser is and the light: traced leaves all."""
 
     station: Solids
+    """Rows of `PARTS`, then of `DETAILS`."""
     chaser: Solids
     """In its body frame; visitors look alike."""
     visitors: Visitors
     materials: Materials
     light: Light
     heavens: Heavens
+    sky: Sky | None
+    """None is black."""
 
 
-def default_scene(visitors: int = 0) -> Scene:
+def default_scene(visitors: int = 0, sky: Sky | None = None) -> Scene:
     """Give the station and the chaser as their tables have them.
 
     Args:
         visitors: how many places for them there are, all empty.
+        sky: as `load_sky` gives it; black when None.
     """
     nobody = Visitors(
         jnp.zeros((visitors, 3), jnp.float32),
         jnp.tile(jnp.asarray([[1.0, 0.0, 0.0, 0.0]], jnp.float32), (visitors, 1)),
         jnp.zeros(visitors, bool),
     )
-    station, chaser = solids(PARTS, MATERIAL_NAMES), solids(CHASER, MATERIAL_NAMES)
-    return Scene(station, chaser, nobody, materials(), default_light(), noon())
+    station, chaser = solids((*PARTS, *DETAILS), MATERIAL_NAMES), solids(CHASER, MATERIAL_NAMES)
+    return Scene(station, chaser, nobody, materials(), default_light(), noon(), sky)
 
 
 def noon() -> Heavens:

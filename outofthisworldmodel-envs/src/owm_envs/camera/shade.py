@@ -91,6 +91,7 @@ def radiance(lights: Lights, look: Look, normal: Vector, to_eye: Vector, distanc
         lit: share of the Sun's disc that no other part hides, 0 to 1.
     """
     sun, down = (tuple(v[j] for j in range(3)) for v in (lights.sun, lights.down))
+    normal = unit(plus(normal, 1.0, look.bend))
     facing = jnp.maximum(dot(normal, sun), 0.0)
     eye = jnp.maximum(dot(normal, to_eye), 1e-3)
     direct = facing * lit * lights.sunlight

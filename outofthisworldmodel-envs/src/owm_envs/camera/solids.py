@@ -1,6 +1,6 @@
 """Every part of a scene as one kind of solid: a quadric clipped by a box. So one formula meets them all.
 
-In a part's own frame a solid is where `k (x^2 + y^2) + m z^2 + l z + c <= 0` and `|x|, |y|, |z|` stay within `half`.
+In a part's own frame a solid is where `k (x^2 + y^2) + m z^2 + n z + c <= 0` and `|x|, |y|, |z|` stay within `half`.
 Cylinder, cone and sphere are quadrics; of a box the quadric is -1, everywhere inside. All are convex.
 """
 
@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from owm_envs.camera.vectors import Vector
+from owm_envs.camera.vectors import Vector, dot, plus, unit, where
 from owm_envs.station.geometry import ROUND, rotation
 from owm_envs.station.parts import Part
 
+Quadric = tuple[Array, Array, Array, Array]
 FAR = 1e30
 _FLAT = 1e-9
 
@@ -30,7 +31,7 @@ class Solids(NamedTuple):
     half: Float[Array, "N 3"]
     """Half extents along them [m]."""
     quadric: Float[Array, "N 4"]
-    """k, m, l, c as above."""
+    """k, m, n, c as above."""
     material: Int[Array, "N"]
     """Row of the table of materials."""
     present: Bool[Array, "N"]
@@ -88,18 +89,13 @@ def joined(groups: Sequence[Solids]) -> Solids:
 
 
 class Crossing(NamedTuple):
-    """Where a ray is inside a solid, and what it enters through; a miss has `leave < enter`."""
+    """Where a ray is inside a solid [m along the ray]; a miss has `leave < enter`."""
 
     enter: Array
     leave: Array
-    """Distances along the ray [m]."""
-    slabs: Vector
-    """Distance at which it comes between each pair of faces."""
-    bow: Array
-    """Distance at which it enters the quadric."""
 
 
-def crossing(start: Vector, way: Vector, half: Vector, quadric: tuple[Array, Array, Array, Array]) -> Crossing:
+def crossing(start: Vector, way: Vector, half: Vector, quadric: Quadric) -> Crossing:
     """Meet a ray with a solid, in the solid's own frame; all arguments broadcast.
 
     Distances count from the point nearest to the solid's centre while they are found, so that float32 is good to
@@ -109,19 +105,18 @@ def crossing(start: Vector, way: Vector, half: Vector, quadric: tuple[Array, Arr
         start, way: a point of the ray [m], and its unit direction.
         half, quadric: of the solid.
     """
-    middle = -(start[0] * way[0] + start[1] * way[1] + start[2] * way[2])
-    x, y, z = (s + middle * w for s, w in zip(start, way))
-    near, far, slabs = -FAR, FAR, []
+    middle = -dot(start, way)
+    x, y, z = plus(start, middle, way)
+    near, far = -FAR, FAR
     for place, slope, reach in zip((x, y, z), way, half):
         inverse = 1.0 / jnp.where(jnp.abs(slope) < _FLAT, _FLAT, slope)
         mid, span = -place * inverse, reach * jnp.abs(inverse)
-        slabs.append(mid - span)
         near, far = jnp.maximum(near, mid - span), jnp.minimum(far, mid + span)
-    k, m, l, c = quadric
+    k, m, n, c = quadric
     u, v, w = way
     a = k * (u * u + v * v) + m * w * w
-    b = k * (x * u + y * v) + (m * z + 0.5 * l) * w
-    inside = k * (x * x + y * y) + (m * z + l) * z + c
+    b = k * (x * u + y * v) + (m * z + 0.5 * n) * w
+    inside = k * (x * x + y * y) + (m * z + n) * z + c
     square = b * b - a * inside
     real = square > 0
     root = jnp.sqrt(jnp.where(real, square, 1.0))
@@ -132,8 +127,49 @@ def crossing(start: Vector, way: Vector, half: Vector, quadric: tuple[Array, Arr
     early = near <= second
     bow = jnp.where(closed, first, jnp.where(early | ~real, -FAR, first))
     stern = jnp.where(closed, second, jnp.where(early & real, second, FAR))
-    enter, leave = jnp.maximum(near, bow), jnp.minimum(far, stern)
     missed = (closed & ~real) | ((k == 0) & (inside > 0))
-    return Crossing(
-        enter + middle, jnp.where(missed, -FAR, leave + middle), tuple(s + middle for s in slabs), bow + middle
-    )
+    enter, leave = jnp.maximum(near, bow), jnp.minimum(far, stern)
+    return Crossing(enter + middle, jnp.where(missed, -FAR, leave + middle))
+
+
+def bow_normal(place: Vector, quadric: Quadric) -> Vector:
+    """Give half the gradient of the quadric."""
+    k, m, n, _ = quadric
+    return (k * place[0], k * place[1], m * place[2] + 0.5 * n)
+
+
+class Standing(NamedTuple):
+    """Where a point of a solid's surface stands, in the solid's own frame."""
+
+    distance: Array
+    """Along the ray [m]."""
+    place: Vector
+    face: Int[Array, "..."]
+    """0, 1, 2 for a pair of faces of the box, 3 for the bow."""
+
+
+def standing(distance: Array, start: Vector, way: Vector, half: Vector, quadric: Quadric) -> Standing:
+    """Settle where a ray meets a solid, given nearly how far off: one step of Newton's method, to be differentiated.
+
+    The face is that whose constraint the point fulfils most narrowly.
+    """
+    near = plus(start, distance, way)
+    k, m, n, c = quadric
+    steep = bow_normal(near, quadric)
+    value = k * (near[0] * near[0] + near[1] * near[1]) + (m * near[2] + n) * near[2] + c
+    margin = 0.5 * value * jax.lax.rsqrt(jnp.maximum(dot(steep, steep), 1e-12))
+    face, error, slope = jnp.full(jnp.shape(margin), 3, jnp.int32), 0.5 * value, dot(steep, way)
+    for axis in range(3):
+        other = jnp.abs(near[axis]) - half[axis]
+        narrower = other > margin
+        face, margin = jnp.where(narrower, axis, face), jnp.maximum(other, margin)
+        error, slope = jnp.where(narrower, other, error), jnp.where(narrower, jnp.sign(near[axis]) * way[axis], slope)
+    grazing = jnp.abs(slope) < 1e-3  # a step would be long, and wrong
+    step = jnp.where(grazing, 0.0, error / jnp.where(grazing, 1.0, slope))
+    return Standing(distance - step, plus(near, -step, way), face)
+
+
+def normal_at(face: Int[Array, "..."], place: Vector, quadric: Quadric) -> Vector:
+    """Give the outward unit normal there, in the solid's own frame."""
+    square = tuple(jnp.where(face == axis, jnp.sign(place[axis]), 0.0) for axis in range(3))
+    return where(face == 3, unit(bow_normal(place, quadric)), square)

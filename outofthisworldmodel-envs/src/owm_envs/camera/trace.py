@@ -1,18 +1,20 @@
 """Which solid does each ray meet first? Rays go in tiles of 8 by 8 pixels, and a tile meets only what may cover it.
 
-1. Solids are sorted by distance, nearest first. A tile's candidates are bits, one a solid: the bounding box of a solid is
-   on neither far side of the tile (`columns_and_rows`, `between`).
-2. Tiles are sorted by how many candidates they have, and go through in blocks of alike ones: each pass of a block meets
+1. Solids are sorted by distance, nearest first. A tile's candidates are bits, one a solid: those whose bounding box
+   lies on the far side of none of the tile's borders (`columns_and_rows`, `between`).
+2. Tiles are sorted by how many candidates they have, and go through in strips of alike ones. Each pass of a strip meets
    the next candidate of every tile in it with all 64 rays (`sweep`), until none can be nearer than what is found.
 
-Nothing here is differentiated: it only chooses. Source of the idea: Fuchs et al., Pixel-Planes 5, SIGGRAPH 1989 (bins of a
-screen); Garanzha and Loop, Fast Ray Sorting and Breadth-First Packet Traversal, Eurographics 2010 (packets).
+Nothing here is differentiated: it only chooses. Source of the ideas: Fuchs et al., Pixel-Planes 5, SIGGRAPH 1989 (bins
+of a screen); Garanzha and Loop, Fast Ray Sorting and Breadth-First Packet Traversal, Eurographics 2010 (packets).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from owm_envs.camera.solids import FAR, Solids, crossing
@@ -21,6 +23,8 @@ from owm_envs.camera.vectors import Vector, onto
 SIDE = 8
 """Pixels along the side of a tile."""
 LANES = SIDE * SIDE
+_PIECES = 4
+_POOL = 64  # tiles that go through their candidates in step
 _WORD = 32
 
 Words = UInt32[Array, "T W"]
@@ -38,7 +42,7 @@ def bounds(solids: Solids, directions: Float[Array, "D 3"]) -> Bounds:
     """Give how far each solid's box reaches along directions (of any length), from the frame's origin."""
     middle = directions @ solids.centre.T
     axes = solids.rotation * solids.half[:, None, :]
-    reach = jnp.abs(jnp.einsum("di,nij->dnj", directions, axes)).sum(axis=-1)
+    reach = sum(jnp.abs(directions @ axes[:, :, j].T) for j in range(3))
     return Bounds(middle - reach, middle + reach)
 
 
@@ -90,23 +94,89 @@ def columns_and_rows(
 
 
 def between(
-    solids: Solids, towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "L"]
-) -> UInt32[Array, "W"]:
-    """Give what may stand between the points of one tile and a far light.
+    reach: Bounds, present: Bool[Array, "N"], towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "T L"]
+) -> Words:
+    """Give what may stand between the points of each tile and a far light.
 
     Args:
+        reach: of the solids along `towards`.
+        present: which of them are there.
         towards: two directions across the light's and that of the light itself, as rows.
-        points: (L,) [m].
-        active: (L,) which points count; without any there is no candidate.
+        points: (T, L) [m].
+        active: which points count; a tile without any has no candidate.
     """
-    least, most = bounds(solids, towards)
-    mask = solids.present & active.any()
+    least, most = reach
+    mask = present[None, :] & active.any(axis=1)[:, None]
     for axis in range(3):
         place = sum(towards[axis, j] * points[j] for j in range(3))
-        mask = mask & (most[axis] >= jnp.where(active, place, FAR).min())
+        mask = mask & (most[axis][None, :] >= jnp.where(active, place, FAR).min(axis=1)[:, None])
         if axis < 2:
-            mask = mask & (least[axis] <= jnp.where(active, place, -FAR).max())
-    return packed(mask[None, :])[0]
+            mask = mask & (least[axis][None, :] <= jnp.where(active, place, -FAR).max(axis=1)[:, None])
+    return packed(mask)
+
+
+def busiest_first(words: Words) -> Int[Array, "T"]:
+    """Give the order of the tiles by how many candidates they have, most first."""
+    return jnp.argsort(-jax.lax.population_count(words).astype(jnp.int32).sum(axis=1))
+
+
+def in_strips(function: Callable[[Any], Any], arrays: Any, busy: Bool[Array, "T"], size: int, idle: int = 0) -> Any:
+    """Call a function for some tiles at a time. What it returns is stored before anything reads it.
+
+    Left to itself a compiler would rather find a number anew for each of its readers.
+
+    Args:
+        function: of some rows of `arrays`, to arrays of as many rows.
+        arrays: a row a tile; or one row, which goes to all.
+        busy: which tiles have something to do. A strip in which none has, in none of the examples of a batch, is left
+            out.
+        size: how many tiles go at a time.
+        idle: what stands in place of what was left out.
+    """
+    leaves, tree = jax.tree.flatten(arrays)
+    tiles = busy.shape[0]
+    strips = -(-tiles // size)
+    own = [leaf.shape[0] == tiles for leaf in leaves]
+
+    def folded(leaf):
+        padding = ((0, strips * size - tiles), *((0, 0),) * (leaf.ndim - 1))
+        return jnp.pad(leaf, padding).reshape(strips, size, *leaf.shape[1:])
+
+    def strip(rows):
+        rows = iter(rows)
+        here = tree.unflatten([next(rows) if mine else leaf for mine, leaf in zip(own, leaves)])
+        blank = jax.tree.map(lambda part: jnp.full(part.shape, idle, part.dtype), jax.eval_shape(function, here))
+        return jax.lax.cond(_anyone(next(rows).any()), function, lambda _: blank, here)
+
+    rows = [folded(leaf) for mine, leaf in zip(own, leaves) if mine]
+    results = jax.lax.map(strip, [*rows, folded(busy)])
+    return jax.tree.map(lambda a: a.reshape(strips * size, *a.shape[2:])[:tiles], results)
+
+
+def stored(function: Callable[[Any], Any], arrays: Any, busy: Bool[Array, "T"], idle: int = 0) -> Any:
+    """Call a function of tiles, some at a time, as `in_strips` does."""
+    return in_strips(function, arrays, busy, max(1, busy.shape[0] // _PIECES), idle)
+
+
+def settled(always: Bool[Array, ""], arrays: Any) -> Any:
+    """Give arrays as they are, but stored before anything reads them.
+
+    A compiler cannot look through a conditional, which is why `always` must be true, and known only when the program
+    runs. (`astrojax.compilation.stored` says it in so many words, but XLA heeds it with options alone.)
+    """
+    blank = jax.tree.map(jnp.zeros_like, arrays)
+    return jax.lax.cond(_anyone(always), lambda arrays: arrays, lambda _: blank, arrays)
+
+
+@jax.custom_batching.custom_vmap
+def _anyone(yes: Bool[Array, ""]) -> Bool[Array, ""]:
+    """Whether any example of a batch says yes: one answer for all, so that a conditional on it stays one."""
+    return yes
+
+
+@_anyone.def_vmap
+def _(size, batched, yes):
+    return _anyone(yes.any(axis=0) if batched[0] else yes), False
 
 
 def _nth(words: UInt32[Array, "B W"], upto: Int[Array, "B W"], n: Int[Array, "B"]) -> Int[Array, "B"]:
@@ -126,6 +196,39 @@ def _nth(words: UInt32[Array, "B W"], upto: Int[Array, "B W"], n: Int[Array, "B"
     return word * _WORD + place
 
 
+class _March(NamedTuple):
+    """A block of tiles on its way through its candidates.
+
+    What a pass reads twice was stored by the pass before it, or a compiler would find it anew for each reader: so the
+    next candidate is looked up one pass ahead, and who owns a ray is settled one pass behind.
+    """
+
+    n: Int[Array, ""]
+    """How many candidates each tile has met."""
+    next: Int[Array, "B"]
+    last: Int[Array, "B"]
+    """The candidates of this pass and of the one before."""
+    best: Float[Array, "B L"]
+    before: Float[Array, "B L"]
+    """The nearest distance found so far, and before the last pass."""
+    owner: Int[Array, "B L"]
+    """Whose that one was."""
+    more: Bool[Array, ""]
+
+
+class Pool(NamedTuple):
+    """Tiles that go through their candidates together, of one picture or of many."""
+
+    table: Float[Array, "G N 20"]
+    """Of each picture its solids: centre, rotation, half, quadric, and the distance before which no ray meets it."""
+    group: Int[Array, "T"]
+    """Which picture a tile is of."""
+    words: Words
+    origin: Vector
+    way: Vector
+    active: Bool[Array, "T L"]
+
+
 def sweep(
     solids: Solids,
     closest: Float[Array, "N"],
@@ -134,53 +237,98 @@ def sweep(
     way: Vector,
     active: Bool[Array, "T L"],
     first: bool,
-) -> Int[Array, "T L"]:
-    """Give the solid that each ray meets, or -1.
+) -> tuple[Int[Array, "T L"], Float[Array, "T L"]]:
+    """Give the solid that each ray meets; not to be differentiated.
 
     Args:
         closest: no ray meets the solid before this distance [m]; ascending.
         words: candidates of each tile.
-        origin, way: of the rays, (T, L), (T, 1) or (1, 1); `way` has unit length.
-        active: (T, L) which rays count.
+        origin, way: of the rays, (T, L), or (1, 1) where all share it; `way` has unit length.
+        active: which rays count.
         first: whether the nearest is asked for; else any will do, and it may also surround the origin.
+
+    Returns:
+        The row of the solid, -1 for none, and the distance to it [m].
     """
-    tiles = words.shape[0]
-    block = max(4, round(tiles**0.5))
-    blocks = -(-tiles // block)
-    words = jnp.pad(words, ((0, blocks * block - tiles), (0, 0)))
-    upto = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32), axis=1)
-    order = jnp.argsort(-upto[:, -1])
-    last = solids.present.shape[0] - 1
     table = jnp.concatenate(
         [solids.centre, solids.rotation.reshape(-1, 9), solids.half, solids.quadric, closest[:, None]], axis=1
     )
+    tiles = words.shape[0]
+    each = lambda v: tuple(jnp.broadcast_to(a, (tiles, a.shape[1])) for a in v)
+    pool = Pool(table[None], jnp.zeros(tiles, jnp.int32), words, each(origin), each(way), active)
+    return (_nearest if first else _any)(jax.lax.stop_gradient(pool))
 
-    def through(number: Int[Array, ""]) -> Int[Array, "B L"]:
-        chosen = jax.lax.dynamic_slice(order, (number * block,), (block,))
-        own = lambda a: a if a.shape[0] == 1 else a[jnp.minimum(chosen, tiles - 1)]
-        bits, counts = words[chosen], upto[chosen]
+
+def _pooled(first: bool):
+    """The search of a pool. A batch of pools is one larger pool, so that tiles of all its pictures go through sorted."""
+
+    @jax.custom_batching.custom_vmap
+    def search(pool: Pool):
+        return _search(pool, first)
+
+    @search.def_vmap
+    def _(size, batched, pool):
+        pool = jax.tree.map(lambda a, on: a if on else jnp.broadcast_to(a, (size, *a.shape)), pool, batched[0])
+        groups = pool.table.shape[1]
+        group = pool.group + groups * jnp.arange(size, dtype=jnp.int32)[:, None]
+        flat = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), pool._replace(group=group))
+        found = jax.tree.map(lambda a: a.reshape(size, -1, *a.shape[1:]), search(flat))
+        return found, jax.tree.map(lambda _: True, found)
+
+    @jax.custom_jvp
+    def still(pool: Pool):
+        return search(pool)
+
+    @still.defjvp
+    def _(primals, tangents):
+        owner, near = still(*primals)
+        return (owner, near), (np.zeros(owner.shape, jax.dtypes.float0), jnp.zeros_like(near))
+
+    return still
+
+
+_nearest, _any = _pooled(first=True), _pooled(first=False)
+
+
+def _search(pool: Pool, first: bool) -> tuple[Int[Array, "T L"], Float[Array, "T L"]]:
+    solids = pool.table.shape[1]
+    table = pool.table.reshape(-1, pool.table.shape[-1])
+
+    def through(strip):
+        group, words, start, ray, live = strip
+        counts = jnp.cumsum(jax.lax.population_count(words).astype(jnp.int32), axis=1)
         total = counts[:, -1]
-        start, ray, live = tuple(map(own, origin)), tuple(map(own, way)), own(active)
 
-        def meet(state):
-            n, best, owner, _ = state
-            which = jnp.minimum(_nth(bits, counts, jnp.minimum(jnp.full_like(total, n), total - 1)), last)
-            row = table[which]
+        def candidate(n):
+            which = _nth(words, counts, jnp.minimum(jnp.full_like(total, n), total - 1))
+            return group * solids + jnp.minimum(which, solids - 1)
+
+        def meet(state: _March) -> _March:
+            row = table[state.next]
             column = lambda j: row[:, j, None]
             shift = tuple(s - column(j) for j, s in enumerate(start))
             axes = row[:, 3:12].reshape(-1, 1, 3, 3)
             half, quadric = tuple(column(12 + j) for j in range(3)), tuple(column(15 + j) for j in range(4))
             found = crossing(onto(axes, shift), onto(axes, ray), half, quadric)
-            ahead = (found.enter > 0) & (found.enter < best) if first else (found.leave > 0) & (best > 0)
-            hit = ahead & (found.enter <= found.leave) & (n < total)[:, None]
-            best = jnp.where(hit, found.enter if first else -FAR, best)
-            owner = jnp.where(hit, which[:, None], owner)
-            more = (n + 1 < total) & (row[:, 19] < best.max(axis=1))
-            return n + 1, best, owner, more.any()
+            ahead = (found.enter > 0) & (found.enter < state.best) if first else (found.leave > 0) & (state.best > 0)
+            hit = ahead & (found.enter <= found.leave) & (state.n < total)[:, None]
+            best = jnp.where(hit, found.enter if first else -FAR, state.best)
+            n = state.n + 1
+            more = (n < total) & (row[:, 19] < best.max(axis=1))
+            return _March(n, candidate(n), state.next, best, state.best, settled(state), more.any())
+
+        def settled(state: _March) -> Int[Array, "B L"]:
+            return jnp.where(state.best < state.before, state.last[:, None], state.owner)
 
         best = jnp.where(live, FAR, -FAR).astype(table.dtype)
-        state = (jnp.zeros((), jnp.int32), best, jnp.full(best.shape, -1, jnp.int32), (total > 0).any())
-        return jax.lax.while_loop(lambda state: state[3], meet, state)[2]
+        zero, nobody = jnp.zeros((), jnp.int32), jnp.full(best.shape, -1, jnp.int32)
+        begun = _March(zero, candidate(zero), jnp.zeros_like(total), best, best, nobody, (total > 0).any())
+        ended = jax.lax.while_loop(lambda state: state.more, meet, begun)
+        owner = settled(ended)
+        return jnp.where(owner < 0, owner, owner - group[:, None] * solids), ended.best
 
-    found = jax.lax.map(through, jnp.arange(blocks)).reshape(-1, active.shape[1])
-    return found[jnp.argsort(order)][:tiles]
+    order = busiest_first(pool.words)
+    rows = jax.tree.map(lambda a: a[order], pool[1:])
+    found = in_strips(through, rows, (rows[1] != 0).any(axis=1), _POOL, idle=-1)
+    back = jnp.argsort(order)
+    return jax.tree.map(lambda a: a[back], found)

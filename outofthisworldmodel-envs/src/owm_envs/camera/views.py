@@ -10,6 +10,7 @@ from jaxtyping import Float
 from astrojax.attitude import rotation_to_quat
 from owm_envs.camera.lens import Camera
 from owm_envs.camera.render import OUTPUTS
+from owm_envs.config.camera import CAMERA_NAMES
 from owm_envs.station.ports import PORTS, port_index
 from owm_envs.words import unknown
 
@@ -19,15 +20,6 @@ FPV_PLACE, FPV_FIELD_DEG = (0.0, 1.75, 1.55), 82.0
 
 _ISOMETRIC = np.array([-0.50, -0.70, 0.42])
 _FROM_ZENITH = (0.0, 0.0, 1.0)
-
-CAMERA_NAMES = (
-    "chaser_fpv",
-    "chaser_isometric",
-    "chaser_top",
-    "station_isometric",
-    "station_top",
-    "station_fpv",
-)
 
 
 def aimed(position: Sequence[float], target: Sequence[float], up: Sequence[float] = ZENITH) -> Float[np.ndarray, "4"]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
+from owm_envs.config.camera import CameraConfig, CameraStructure
 from owm_envs.config.parts import (
     EARTH_RADIUS,
     NOISE_PRESETS,
@@ -33,6 +34,8 @@ from owm_envs.words import unknown
 
 Fidelity = Literal["iss", "iss-hcw", "iss-numerical"]
 FIDELITIES: tuple[str, ...] = get_args(Fidelity)
+Observed = Literal["state", "pixels", "state+pixels"]
+OBSERVATIONS: tuple[str, ...] = get_args(Observed)
 
 
 class Structure(NamedTuple):
@@ -61,6 +64,11 @@ class Structure(NamedTuple):
     hull: str | int
     """"iss", or the number of boxes of another hull."""
     obstacles: int
+    observation: str
+    camera: CameraStructure | None
+    """None without pixels."""
+    look_randomized: bool
+    """Whether light and look are drawn."""
 
 
 class DockingConfig(Frozen):
@@ -71,6 +79,8 @@ class DockingConfig(Frozen):
     reward: RewardConfig = REWARD_PRESETS["data"]
     ports: Annotated[tuple[str, ...], Field(min_length=1)] = PORT_NAMES
     """Ports an episode may be assigned, uniformly."""
+    observation: Observed = "state"
+    """What an adapter shows: the state part, pixels of the `camera`, or a dict of both."""
     goal_error: bool = True
     """Append the 12-number goal-error block to the observation."""
     normalize: bool = False
@@ -94,6 +104,7 @@ class DockingConfig(Frozen):
     docking: DockingTolerances = DockingTolerances()
     chief: ChiefConfig = ChiefConfig()
     chaser: ChaserConfig = ChaserConfig()
+    camera: CameraConfig = CameraConfig()
     forces: ForceConfig = ForceConfig()
     randomization: RandomizationConfig = RandomizationConfig()
 
@@ -114,6 +125,13 @@ class DockingConfig(Frozen):
             port_index(name)
         return value
 
+    @field_validator("observation", mode="before")
+    @classmethod
+    def _known_observation(cls, value):
+        if value not in OBSERVATIONS:
+            raise ValueError(unknown("observation", value, OBSERVATIONS))
+        return value
+
     @field_validator("hull", "obstacles")
     @classmethod
     def _corners_in_order(cls, value):
@@ -132,6 +150,18 @@ class DockingConfig(Frozen):
             raise ValueError(f"chief.eccentricity with its range must stay from 0 to below 1, got {least} to {most}")
         if (least := chief.semi_major_axis + ranges.chief_semi_major_axis[0]) <= EARTH_RADIUS:
             raise ValueError(f"chief.semi_major_axis with its range must stay above {EARTH_RADIUS} m, got {least}")
+        if not self.has_pixels:
+            for name, given in (
+                ("camera", self.camera != CameraConfig()),
+                ("randomization.camera", ranges.camera.active),
+            ):
+                if given:
+                    raise ValueError(
+                        f"{name} has settings, but the observation {self.observation!r} has no pixels: "
+                        "ask for observation='pixels' or 'state+pixels'"
+                    )
+        if self.camera.view == "station_top" and self.camera.field_deg is not None:
+            raise ValueError("camera.field_deg is of perspective views, and 'station_top' is orthographic")
         return self
 
     def __repr_args__(self) -> list[tuple[str | None, Any]]:
@@ -140,6 +170,11 @@ class DockingConfig(Frozen):
             many = name in ("hull", "obstacles") and len(value) > 3
             short.append((name, f"{len(value)} boxes" if many else value))
         return short
+
+    @property
+    def has_pixels(self) -> bool:
+        """Whether the observation has pixels."""
+        return "pixels" in self.observation
 
     @property
     def decision_dt(self) -> float:
@@ -172,6 +207,9 @@ class DockingConfig(Frozen):
             port_slots=max(len(PORT_NAMES), len(self.ports)),
             hull=self.hull if self.hull == "iss" else len(self.hull),
             obstacles=len(self.obstacles),
+            observation=self.observation,
+            camera=self.camera.structure if self.has_pixels else None,
+            look_randomized=ranges.camera.active,
         )
 
     def to_toml(self, *, notes: bool = False) -> str:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from astrojax.time import mjd_from_calendar
 from owm_envs.config.docking import DockingConfig
@@ -117,6 +117,8 @@ class Params(NamedTuple):
     docking: DockingParams
     reward: dict[str, Float[Array, ""]]
     randomization: RandomizationParams
+    sensors: dict[str, PyTree] = {}  # noqa: RUF012 - never changed; a pytree without leaves
+    """Of the sensors that have numbers of their own, by name: the scene and camera behind pixels."""
 
 
 def params_from_config(config: DockingConfig) -> Params:

@@ -227,6 +227,41 @@ class ChaserConfig(Frozen):
         return self
 
 
+def low_then_high(value: Range) -> Range:
+    """A range whose low end comes first; ValueError otherwise."""
+    if value[0] > value[1]:
+        raise ValueError(f"a range needs its low end first, got {value}")
+    return value
+
+
+class CameraRanges(Frozen):
+    """Ranges (low, high) of light and look, drawn as those of `RandomizationConfig`; for environments with pixels."""
+
+    sun_scale: Factors = (1.0, 1.0)
+    earthshine_scale: Factors = (1.0, 1.0)
+    lamp_scale: Factors = (1.0, 1.0)
+    exposure: Annotated[Range, unit("stops")] = (0.0, 0.0)
+    """Added to the camera's."""
+    offset: Annotated[tuple[NonNegative, NonNegative], unit("m")] = (0.0, 0.0)
+    """Distance by which the camera stands elsewhere; isotropic direction."""
+    tilt_deg: tuple[HalfTurn, HalfTurn] = (0.0, 0.0)
+    """Angle by which it looks elsewhere; isotropic axis."""
+    field_scale: Factors = (1.0, 1.0)
+    """Of the field of view."""
+    albedo_scale: Factors = (1.0, 1.0)
+    """Per material; none throws back more than all light."""
+
+    @field_validator("*")
+    @classmethod
+    def _low_then_high(cls, value):
+        return low_then_high(value)
+
+    @property
+    def active(self) -> bool:
+        """Whether anything is drawn."""
+        return self != CameraRanges()
+
+
 class RandomizationConfig(Frozen):
     """Ranges (low, high) of what is drawn anew for each episode, uniformly and by itself.
 
@@ -250,18 +285,17 @@ class RandomizationConfig(Frozen):
     chief_raan_deg: DegreeRange = (0.0, 0.0)
     chief_argument_of_perigee_deg: DegreeRange = (0.0, 0.0)
     chief_mean_anomaly_deg: DegreeRange = (0.0, 0.0)
+    camera: CameraRanges = CameraRanges()
 
     @field_validator("*")
     @classmethod
     def _low_then_high(cls, value):
-        if value[0] > value[1]:
-            raise ValueError(f"a range needs its low end first, got {value}")
-        return value
+        return value if isinstance(value, CameraRanges) else low_then_high(value)
 
     @property
     def active(self) -> bool:
-        """Whether anything is drawn."""
-        return self != RandomizationConfig()
+        """Whether anything of vehicle or orbit is drawn."""
+        return self.model_copy(update={"camera": CameraRanges()}) != RandomizationConfig()
 
 
 class ForceConfig(Frozen):

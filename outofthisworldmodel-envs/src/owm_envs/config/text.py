@@ -60,7 +60,7 @@ def toml(config: BaseModel, *, notes: bool = False) -> str:
             yield f"\n[{'.'.join(path)}]"
         tables = {name: value for name, value in values.items() if isinstance(value, dict)}
         for name, value in values.items():
-            if name not in tables:
+            if name not in tables and value is not None:
                 remark = note(type(config), (*path, name)) if notes else ""
                 yield f"{name} = {_literal(value)}" + (f"  # {remark}" if remark else "")
         for name, table in tables.items():

@@ -146,14 +146,14 @@ def generate(
     targets = {"train": request.transitions, "val": request.val_transitions}
     least = {"train": 1, "val": len(config.ports)}
 
-    _check_space(partial, config, targets, least)
+    parts = _parts(config, sensors)
+    _check_space(partial, config, targets, least, parts)
     if claim.found:
         announce(f"resuming {partial}")
     claim.note()
     try:
         summary = {}
         writers = {}
-        parts = _parts(sensors)
         spill = partial / "spill"  # what a killed run left there is of no use
         shutil.rmtree(spill, ignore_errors=True)
         spill.mkdir()
@@ -180,21 +180,24 @@ def generate(
     return summary
 
 
-def _parts(sensors: "Sequence[Sensor]") -> dict[str, Any]:
-    """Shape and dtype of what the sensors bring; JAX is started only if there are any."""
-    if not sensors:
+def _parts(config: DockingConfig, sensors: "Sequence[Sensor]") -> dict[str, Any]:
+    """Shape and dtype of what is observed beside the state part; JAX is started only if there is anything."""
+    if not sensors and not config.has_pixels:
         return {}
-    from owm_envs.task.sensors import part_shapes
+    from owm_envs.env import DockingEnv
+    from owm_envs.task.sensors import STATE
 
-    return part_shapes(sensors)
+    parts = DockingEnv(config, sensors=sensors).observation_parts
+    return {name: part for name, part in parts.items() if name != STATE}
 
 
-def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict) -> None:
+def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict, parts: dict) -> None:
     longest = config.horizon_decisions
     expected = sum(max(targets[split], least[split] * longest) for split in targets) + longest
     there = sum(file.stat().st_size for file in partial.rglob("*") if file.is_file())
     disk = next(folder for folder in partial.absolute().parents if folder.exists())
-    needed, free = expected * BYTES_PER_TRANSITION - there, shutil.disk_usage(disk).free
+    frame = sum(math.prod(part.shape) * np.dtype(part.dtype).itemsize for part in parts.values())
+    needed, free = expected * (BYTES_PER_TRANSITION + frame) - there, shutil.disk_usage(disk).free
     if needed > free:
         raise OSError(
             errno.ENOSPC, f"{expected:,} transitions may take {needed / 1e6:,.0f} MB; {free / 1e6:,.0f} MB are free"

@@ -5,24 +5,37 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key, Shaped
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree, Shaped
 
 from astrojax.attitude import quat_sign
 from astrojax.compilation import all_of, stored, summed
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.config.params import Params, params_from_config
-from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics
+from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics, station_orbit
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import Clearance, advance_clearance, clearance_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
 from owm_envs.task.navigation import RelativeNavigation, advance_bias, goal_error, start_bias
 from owm_envs.task.observation import ObservationLayout
-from owm_envs.task.randomization import Drawn, draw, episode_params
+from owm_envs.task.randomization import Drawn, draw, drawn_anew, episode_params
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.selected import apply_where
-from owm_envs.task.sensors import STATE, Sensor, Truth, blank, part_shapes, require_sensors, sense
+from owm_envs.task.sensors import (
+    STATE,
+    Sensor,
+    Truth,
+    age_name,
+    blank,
+    chunk_of_costly,
+    is_costly,
+    own_draws,
+    own_params,
+    part_shapes,
+    require_sensors,
+    sense,
+)
 from owm_envs.view import VIEW_SLICES, View
 
 _BEYOND_REASON = 1e9
@@ -43,7 +56,8 @@ class EnvState(NamedTuple):
     error: Float[Array, "12"]
     """Of the true relative view to the goal, as `goal_error` gives it."""
     measured: dict[str, Shaped[Array, "..."]]
-    """What each sensor shows, by its name; relative navigation's is the view (13,), SI units."""
+    """What each sensor shows, by its name; relative navigation's is the view (13,), SI units. Also the ages of what
+    costly ones show."""
     port: Int[Array, ""]
     count: Int[Array, ""]
     """Actions taken."""
@@ -59,6 +73,8 @@ class EnvState(NamedTuple):
     """Time-correlated error of the sensors, of unit variance per axis; None without."""
     drawn: Drawn | None
     """What was drawn for this episode; None without randomisation."""
+    looks: dict[str, PyTree]
+    """What sensors drew for this episode, by their names; empty without."""
     noise_key: Key[Array, ""]
     """Of this episode's sensor errors."""
     next_key: Key[Array, ""]
@@ -112,7 +128,7 @@ class DockingEnv:
         if dynamics is not None:
             require_dynamics(dynamics)
         self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
-        self.sensors = require_sensors([RelativeNavigation(self.config.precision), *sensors])
+        self.sensors = require_sensors([RelativeNavigation(self.config.precision), *_camera(self.config), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -146,26 +162,52 @@ class DockingEnv:
 
     @property
     def observation_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
-        """Shape and dtype of each part of an observation, by its name."""
+        """Shape and dtype of each part that `reset` and `step` return, by its name."""
         return {**part_shapes(self.sensors), STATE: jax.ShapeDtypeStruct((self.layout.size,), jnp.float32)}
+
+    @property
+    def shown_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
+        """Those parts that the configured `observation` has; adapters show no other."""
+        return {
+            n: part for n, part in self.observation_parts.items() if n != STATE or "state" in self.config.observation
+        }
+
+    @property
+    def costly(self) -> bool:
+        """Whether a sensor's measurement costs more than to advance an episode."""
+        return any(map(is_costly, self.sensors))
 
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
-        return params_from_config(self.config)
+        return params_from_config(self.config)._replace(sensors=own_params(self.sensors))
 
     def reset(
-        self, params: Params, *, key: Key[Array, ""], port: int | Int[Array, ""] = -1
+        self,
+        params: Params,
+        *,
+        key: Key[Array, ""],
+        port: int | Int[Array, ""] = -1,
+        before: EnvState | None = None,
+        anew: Mapping[str, Bool[Array, ""]] | None = None,
     ) -> tuple[EnvState, dict[str, Array]]:
         """Start an episode: its state, and the parts of its first observation.
 
         Args:
             key: decides the whole episode, noise included, and the key of the next one.
             port: index of the port to dock at; negative draws one of the configured ports.
+            before: an episode from which to keep what is not drawn anew; everything is when None.
+            anew: of each of `owm_envs.task.randomization.VARIATIONS` whether it is drawn anew.
         """
         next_key, episode_key = jax.random.split(key)
         drawn = self.draw(params, episode_key)
         start = sample_start(params, key=named_key(episode_key, "start"), port=jnp.asarray(port, jnp.int32))
-        return self.observe(params, self.place(params, start, drawn, episode_key, next_key))
+        if before is not None:
+            drawn = drawn_anew(drawn, before.drawn, anew)
+        state = self.place(params, start, drawn, episode_key, next_key)
+        if before is not None:
+            looks = {name: drawn_anew(look, before.looks[name], anew) for name, look in state.looks.items()}
+            state = state._replace(looks=looks)
+        return self.observe(params, state)
 
     def draw(self, params: Params, episode_key: Key[Array, ""]) -> Drawn | None:
         """What the configured ranges leave to each episode; None if they leave nothing."""
@@ -204,6 +246,7 @@ class DockingEnv:
             actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
             bias=bias,
             drawn=drawn,
+            looks=own_draws(self.sensors, params, key=named_key(episode_key, "looks")),
             noise_key=noise_key,
             next_key=next_key,
         )
@@ -273,7 +316,7 @@ class DockingEnv:
             ended.outcome == Outcome.DOCKED,
             ended.outcome == Outcome.ESCAPED,
         )
-        observed, observation = self.observe(params, ended)
+        observed, observation = self.observe(params, ended, was_running)
         outcome = ended.outcome
         terminated = (outcome == Outcome.DOCKED) | (outcome == Outcome.COLLIDED) | (outcome == Outcome.ESCAPED)
         truncated = (outcome == Outcome.TIMEOUT) | (outcome == Outcome.INVALID_ACTION) | (outcome == Outcome.DIVERGED)
@@ -294,8 +337,8 @@ class DockingEnv:
 
         Returns:
             true_state and measured_state (13,), goal_pose (7,), true_goal_error (12,), epoch [MJD day, s of day],
-            port, outcome, is_success, collided, clearance, the errors at closest approach, SI units, and what was
-            drawn.
+            port, outcome, is_success, collided, clearance, the errors at closest approach, SI units, the ages
+            [decisions] of what costly sensors show, and what was drawn.
         """
         goal = params.goals[state.port]
         return {
@@ -310,7 +353,9 @@ class DockingEnv:
             "collided": state.collided,
             "clearance": state.clearance.least,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
+            **{age_name(sensor): state.measured[age_name(sensor)] for sensor in self.sensors if is_costly(sensor)},
             **({} if state.drawn is None else {f"drawn_{k}": v for k, v in state.drawn._asdict().items()}),
+            **{f"drawn_{n}_{k}": v for n, look in state.looks.items() for k, v in look._asdict().items()},
         }
 
     def advance(self, params: Params, state: EnvState, wrench: Float[Array, "6"]) -> tuple[EnvState, Bool[Array, ""]]:
@@ -361,8 +406,14 @@ class DockingEnv:
         epoch = state.physics.epoch
         return jnp.stack(normalize_epoch(epoch[0], epoch[1] + state.physics.elapsed))
 
-    def observe(self, params: Params, state: EnvState) -> tuple[EnvState, dict[str, Array]]:
-        """Measure: the state with what its sensors show, and the parts of the observation."""
+    def observe(
+        self, params: Params, state: EnvState, running: Bool[Array, ""] | bool = True
+    ) -> tuple[EnvState, dict[str, Array]]:
+        """Measure: the state with what its sensors show, and the parts of the observation.
+
+        Args:
+            running: whether the episode was at the last decision; after that, costly sensors hold what they show.
+        """
         epoch = self._epoch(state)
         truth = Truth(
             params=episode_params(params, state.drawn),
@@ -375,12 +426,21 @@ class DockingEnv:
             stream=state.noise_key,
         )
         key = jax.random.fold_in(named_key(state.noise_key, "sensors"), state.count)
-        measured = sense(self.sensors, state.measured, truth, key=key)
+        measured = sense(
+            self.sensors,
+            state.measured,
+            truth,
+            key=key,
+            orbit=lambda truth: station_orbit(self.dynamics, truth.params, truth.physics),
+            drawn=state.looks,
+            running=running,
+        )
         # Of the measurement as it is shown, in float32.
         view = measured[STATE]
         error = goal_error(view.astype(jnp.float32), params.goals[state.port].astype(jnp.float32))
         shown = self.layout.observe(epoch, view, error)
-        return state._replace(measured=measured), {**measured, STATE: shown}
+        observation = {name: measured[name] for name in self.observation_parts}
+        return state._replace(measured=measured), {**observation, STATE: shown}
 
 
 def restart_where(
@@ -392,4 +452,14 @@ def restart_where(
         state: of a batch, leading axis B.
         observation: of the batch; kept in the other slots.
     """
-    return apply_where(due, lambda key: env.reset(params, key=key), (state, observation), state.next_key)
+    chunk = chunk_of_costly() or 1 if env.costly else 16
+    return apply_where(due, lambda key: env.reset(params, key=key), (state, observation), state.next_key, chunk=chunk)
+
+
+def _camera(config: DockingConfig) -> list[Sensor]:
+    """The sensor behind pixels; the camera is imported for none but those who ask for it."""
+    if not config.has_pixels:
+        return []
+    from owm_envs.camera.sensor import CameraSensor
+
+    return [CameraSensor(config.camera, config.randomization.camera)]

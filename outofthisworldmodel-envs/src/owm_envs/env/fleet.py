@@ -126,6 +126,11 @@ class FleetEnv:
         """Shape and dtype of each part of one chaser's observation, by its name."""
         return {**self.docking.observation_parts, STATE: jax.ShapeDtypeStruct((self.layout.size,), jnp.float32)}
 
+    @property
+    def shown_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
+        """Those parts that the configured `observation` has; adapters show no other."""
+        return {name: self.observation_parts[name] for name in self.docking.shown_parts}
+
     def default_params(self) -> Params:
         """The configuration's numbers as arrays. Raises RuntimeError at float64 outside JAX's 64-bit mode."""
         return self.docking.default_params()

@@ -9,10 +9,8 @@ from owm_envs.station.primitives import ESTIMATE, Part, box, rod, sheet, tube
 _DRAGON = "SpaceX, Dragon cargo spacecraft overview: capsule 3.66 m wide, 2.9 m tall; trunk 2.3 m; arrays 16.5 m"
 
 CHASER: tuple[Part, ...] = (
-    tube(
-        "capsule", "z", (-1.05, 1.60), (0.0, 0.0), 3.66, 1.70, "blanket", _DRAGON + "; place chosen to fit the sphere"
-    ),
-    tube("capsule_base", "z", (-1.28, -1.05), (0.0, 0.0), 3.45, 3.66, "blanket", _DRAGON),
+    tube("capsule", "z", (-1.05, 1.60), (0.0, 0.0), 3.66, 1.70, "dragon", _DRAGON + "; place chosen to fit the sphere"),
+    tube("capsule_base", "z", (-1.28, -1.05), (0.0, 0.0), 3.45, 3.66, "dragon", _DRAGON),
     tube("heat_shield", "z", (-1.42, -1.28), (0.0, 0.0), 3.0, 3.45, "heat_shield", ESTIMATE),
     tube("berthing_ring", "z", (1.60, 2.05), (0.0, 0.0), 1.70, 1.60, "metal", ESTIMATE),
     tube("hatch", "z", (2.05, 2.10), (0.0, 0.0), 1.25, 1.20, "dark", ESTIMATE),
@@ -27,7 +25,7 @@ CHASER: tuple[Part, ...] = (
         )
         for name, x, y in (("px", 1.15, 1.05), ("nx", -1.15, 1.05), ("pu", 1.15, -1.05), ("nu", -1.15, -1.05))
     ),
-    tube("trunk", "z", (-3.72, -1.42), (0.0, 0.0), 3.66, 3.66, "blanket", _DRAGON),
+    tube("trunk", "z", (-3.72, -1.42), (0.0, 0.0), 3.66, 3.66, "trunk", _DRAGON),
     *(
         part
         for name, side in (("port", 1.0), ("starboard", -1.0))

@@ -20,19 +20,31 @@ class Material(NamedTuple):
 
 
 MATERIALS: dict[str, Material] = {
-    "shield": Material((0.78, 0.79, 0.80), 0.35, 0.45),  # aluminium debris shields of the US segment
-    "blanket": Material((0.86, 0.85, 0.82), 0.0, 0.75),  # white multi-layer insulation
-    "russian": Material((0.72, 0.71, 0.64), 0.0, 0.80),  # grey-beige insulation of the Russian segment
-    "metal": Material((0.52, 0.54, 0.56), 0.7, 0.45),  # docking rings, joints
+    "shield": Material((0.84, 0.84, 0.83), 0.15, 0.50),  # aluminium debris shields of the US segment
+    "blanket": Material((0.88, 0.87, 0.84), 0.0, 0.75),  # white multi-layer insulation
+    "russian": Material((0.70, 0.69, 0.60), 0.0, 0.80),  # grey-beige insulation of the Russian segment
+    "russian_white": Material((0.80, 0.80, 0.77), 0.0, 0.80),  # its younger modules
+    "adapter": Material((0.27, 0.27, 0.28), 0.1, 0.60),  # the dark cones between two docking standards
+    "metal": Material((0.58, 0.59, 0.60), 0.6, 0.45),  # docking rings, joints
+    "berth": Material((0.72, 0.73, 0.74), 0.3, 0.50),  # berthing rings
+    "hatch": Material((0.74, 0.74, 0.72), 0.0, 0.60),
+    "drogue": Material((0.22, 0.22, 0.21), 0.2, 0.55),  # the receiving cone of a Russian port
+    "petal": Material((0.78, 0.72, 0.55), 0.3, 0.45),  # guides of a docking ring
     "dark": Material((0.20, 0.21, 0.23), 0.2, 0.60),
-    "truss": Material((0.90, 0.90, 0.88), 0.1, 0.60),
+    "black": Material((0.06, 0.06, 0.07), 0.0, 0.60),
+    "white": Material((0.95, 0.95, 0.94), 0.0, 0.60),
+    "red": Material((0.75, 0.10, 0.12), 0.0, 0.60),
+    "truss": Material((0.88, 0.88, 0.86), 0.1, 0.60),
     "foil": Material((0.83, 0.68, 0.42), 0.6, 0.40),  # golden insulation
     "equipment": Material((0.80, 0.80, 0.78), 0.0, 0.70),
     "radiator": Material((0.96, 0.96, 0.97), 0.0, 0.50),
-    "array": Material((0.66, 0.45, 0.20), 0.3, 0.40),  # gold-brown blankets of the large arrays
-    "array_blue": Material((0.15, 0.18, 0.36), 0.3, 0.30),  # cells of the Russian arrays and the chaser's
-    "glass": Material((0.10, 0.14, 0.20), 0.0, 0.10),
+    "array": Material((0.60, 0.43, 0.23), 0.3, 0.40),  # gold-brown blankets of the large arrays
+    "array_back": Material((0.84, 0.66, 0.36), 0.1, 0.50),  # their reverse: film with the cells behind
+    "array_blue": Material((0.30, 0.31, 0.38), 0.3, 0.30),  # frames of the Russian arrays and the chaser's
+    "glass": Material((0.05, 0.07, 0.10), 0.0, 0.10),
     "arm": Material((0.93, 0.92, 0.88), 0.0, 0.55),
+    "dragon": Material((0.93, 0.93, 0.92), 0.0, 0.55),  # painted cork of the capsule
+    "trunk": Material((0.86, 0.87, 0.88), 0.0, 0.45),  # it carries the chaser's radiators
     "heat_shield": Material((0.25, 0.19, 0.15), 0.0, 0.90),
 }
 

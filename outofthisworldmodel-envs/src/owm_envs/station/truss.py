@@ -143,6 +143,7 @@ def _wing(label: str, x: float, sign: float) -> tuple[Part, ...]:
                 0.05,
                 "array",
                 EXTENT,
+                (-sign, 0.0, 0.0),  # local y, the side of the cells, towards forward and zenith
             ),
             *(
                 beam(

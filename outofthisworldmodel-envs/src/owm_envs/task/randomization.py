@@ -1,16 +1,29 @@
 """What is drawn anew for each episode: the vehicle and the station's orbit within their configured ranges."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_to_rotation_vector
+from owm_envs.config import DockingConfig
 from owm_envs.config.params import Params, RandomizationParams
+from owm_envs.config.parts import RandomizationConfig
 from owm_envs.task.reset import isotropic, named_key
 
 ELEMENTS = ("semi-major axis", "eccentricity", "inclination", "raan", "argument of perigee", "mean anomaly")
+
+
+VARIATIONS: dict[str, tuple[str, ...]] = {
+    "vehicle": ("mass_scale", "inertia_scale", "thrust_scale", "misalignment", "actuation_delay"),
+    "orbit": ("chief_elements",),
+    "light": ("sun_scale", "earthshine_scale", "lamp_scale"),
+    "camera": ("exposure", "offset", "tilt", "field_scale"),
+    "material": ("albedo_scale",),
+}
+"""What may be drawn anew at a reset by itself: fields of `Drawn` and of what sensors draw."""
 
 
 class Drawn(NamedTuple):
@@ -66,3 +79,27 @@ def episode_params(params: Params, drawn: Drawn | None) -> Params:
         ),
         chief=chief._replace(elements=chief.elements + drawn.chief_elements),
     )
+
+
+def drawable(config: DockingConfig) -> list[str]:
+    """Those of `VARIATIONS` for which a range is configured."""
+    given = dict(config.randomization)
+    given |= {name.removesuffix("_deg"): value for name, value in given.pop("camera")}
+    default = dict(RandomizationConfig())
+    default |= {name.removesuffix("_deg"): value for name, value in default.pop("camera")}
+    moved = {name.removesuffix("_deg") for name, value in given.items() if value != default[name]}
+    moved = {"chief_elements" if name.startswith("chief_") else name for name in moved}
+    return [group for group, fields in VARIATIONS.items() if moved & set(fields)]
+
+
+def drawn_anew(fresh: Any, before: Any, anew: Mapping[str, Bool[Array, ""]]) -> Any:
+    """Draws of an episode of which some stay as they were: a NamedTuple, or None without any.
+
+    Args:
+        anew: of each of `VARIATIONS` whether it is drawn anew.
+    """
+    if fresh is None:
+        return None
+    of = {field: group for group, fields in VARIATIONS.items() for field in fields}
+    kept = {name: jnp.where(anew[of[name]], new, getattr(before, name)) for name, new in fresh._asdict().items()}
+    return fresh._replace(**kept)

@@ -1,0 +1,118 @@
+"""What the camera of an environment with pixels is: size and channels are static, the rest are numbers to sweep."""
+
+from typing import Annotated, Literal, NamedTuple, get_args
+
+from pydantic import Field, field_validator
+
+from owm_envs.config.parts import Finite, Frozen, NonNegative, Vector3, unit
+from owm_envs.station.ports import PORTS, port_index
+from owm_envs.words import unknown
+
+CameraName = Literal["chaser_fpv", "chaser_isometric", "chaser_top", "station_isometric", "station_top", "station_fpv"]
+CAMERA_NAMES: tuple[str, ...] = get_args(CameraName)
+Channels = Literal["rgb", "gray", "depth", "part", "port"]
+CHANNELS: tuple[str, ...] = get_args(Channels)
+
+Pixels = Annotated[int, Field(ge=1), unit("px")]
+Probability = Annotated[float, Field(ge=0, le=1), unit("1")]
+Stops = Annotated[Finite, unit("stops")]
+Pose = tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite]
+
+
+class EffectsConfig(Frozen):
+    """What goes wrong in a frame, drawn anew for each; all zero for a perfect camera, which then costs nothing.
+
+    Errors are total root-mean-square sizes. Noise counts in the light of the display, where white is 1.
+    """
+
+    position: Annotated[NonNegative, unit("m")] = 0.0
+    attitude_deg: Annotated[NonNegative, unit("deg")] = 0.0
+    field: Annotated[NonNegative, unit("1")] = 0.0
+    """Of the field of view, as a fraction of it."""
+    exposure: Annotated[NonNegative, unit("stops")] = 0.0
+    blur: Annotated[float, Field(ge=0, le=3), unit("px")] = 0.0
+    """Standard deviation of a Gaussian; not drawn."""
+    shot_noise: Annotated[NonNegative, unit("1")] = 0.0
+    """Standard deviation at white; it grows as the root of the light."""
+    read_noise: Annotated[NonNegative, unit("1")] = 0.0
+    """Standard deviation in the dark."""
+    frozen: Probability = 0.0
+    """That a frame does not come: the last one is held. The first of an episode always comes."""
+    blocked: Probability = 0.0
+    """That a frame comes black."""
+
+    @property
+    def active(self) -> bool:
+        """Whether there is any."""
+        return self != EffectsConfig()
+
+
+class CameraStructure(NamedTuple):
+    """All of a camera that compiled programs depend on."""
+
+    view: str
+    height: int
+    width: int
+    channels: str
+    every: int
+    samples: int
+    visitors: int
+    effects: bool
+
+
+class CameraConfig(Frozen):
+    """The camera of an environment whose observation has pixels."""
+
+    view: CameraName = "chaser_fpv"
+    height: Pixels = 64
+    width: Pixels = 64
+    channels: Channels = "rgb"
+    """rgb and gray are uint8; depth is float32 in metres, 0 where no part is; part and port are int32, -1 for none."""
+    every: Annotated[int, Field(ge=1), unit("decisions")] = 1
+    """Decisions from one frame to the next; the last one is held between."""
+    samples: Annotated[int, Field(ge=1, le=8)] = 1
+    """Rays along each side of a pixel."""
+    port: str = PORTS[0].name
+    """At which `station_fpv` stands."""
+    field_deg: Annotated[float, Field(gt=0, lt=180), unit("deg")] | None = None
+    """Vertical field of view; the view's own if absent."""
+    position: Annotated[Vector3, unit("m")] | None = None
+    """Of the camera in its mount's frame; the view's own if absent."""
+    exposure: Stops = 0.0
+    sun: Annotated[NonNegative, unit("1")] = 1.0
+    """Brightness of the Sun, of its true one."""
+    lamp: Annotated[NonNegative, unit("1")] = 0.5
+    """Brightness of a white plane 10 m before the camera's lamp, of one in sunlight."""
+    visitors: tuple[str | Pose, ...] = ()
+    """Other Dragons: the name of the port where one holds, or position [m] and attitude (body to station)."""
+    effects: EffectsConfig = EffectsConfig()
+
+    @field_validator("view", "channels", mode="before")
+    @classmethod
+    def _known(cls, value, info):
+        known = {"view": CAMERA_NAMES, "channels": CHANNELS}[info.field_name]
+        if value not in known:
+            raise ValueError(unknown({"view": "camera"}.get(info.field_name, info.field_name), value, known))
+        return value
+
+    @field_validator("port", "visitors")
+    @classmethod
+    def _known_ports(cls, value):
+        for name in [value] if isinstance(value, str) else value:
+            if isinstance(name, str):
+                port_index(name)
+        return value
+
+    @property
+    def structure(self) -> CameraStructure:
+        """What the compiled programs depend on."""
+        return CameraStructure(
+            self.view,
+            self.height,
+            self.width,
+            self.channels,
+            self.every,
+            self.samples,
+            len(self.visitors),
+            self.effects.active,
+        )
