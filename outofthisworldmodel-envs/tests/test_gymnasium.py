@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import owm_envs  # noqa: F401 - registers the ids
+from owm_envs.adapters.gymnasium import DockingGymEnv
 from owm_envs.registration import IDS
 from owm_envs.station import PORT_NAMES
 from owm_envs.task.events import Outcome
@@ -281,13 +282,34 @@ def test_normalised_spaces(vector):
 
 
 def test_rgb_array_shows_the_flight():
-    env = gymnasium.make("ISS-v0", render_mode="rgb_array", **SHORT)
+    env = gymnasium.make("ISS-v0", render_mode="rgb_array", width=480, height=270, **SHORT)
     env.reset(seed=0)
     before = env.render()
     env.step(ACTION)
     after = env.render()
-    assert before.dtype == np.uint8 and before.ndim == 3 and before.shape[2] == 3
+    assert before.dtype == np.uint8 and before.shape == (270, 480, 3)
     assert (before != after).any()
+
+
+@pytest.mark.parametrize("name", ["chaser_isometric", "station_top"])
+def test_a_named_camera_gives_its_picture_of_every_slot(vector, name):
+    how = {"render_mode": "rgb_array", "width": 20, "height": 12, "camera_name": name}
+    batch, alone = vector(**how), gymnasium.make("ISSHCW-v0", **SHORT, **how).unwrapped
+    batch.reset(seed=0)
+    alone.reset(seed=1)
+    pictures = batch.render()
+    assert len(pictures) == 2 and pictures[0].shape == (12, 20, 3) and pictures[0].any()
+    assert np.abs(pictures[1].astype(int) - alone.render()).max() <= 1
+
+
+def test_a_picture_that_cannot_be_is_refused():
+    for mistake, message in (
+        ({"camera_name": "chaser_fvp"}, "did you mean 'chaser_fpv'"),
+        ({"camera_name": "chaser_fpv", "width": 0}, "width and height must be at least 1 and 1, got 0 and 540"),
+        ({"height": 100}, "width and height must be at least 160 and 120, got 960 and 100"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            DockingGymEnv(render_mode="rgb_array", **mistake)
 
 
 PINNED = {

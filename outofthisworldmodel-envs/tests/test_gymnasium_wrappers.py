@@ -254,7 +254,7 @@ def test_specs_make_the_same_environment_again():
 
 
 def test_frames_are_collected_where_gymnasium_offers_it():
-    env = scalar(render_mode="rgb_array_list")
+    env = scalar(render_mode="rgb_array_list", width=480, height=270)
     env.reset(seed=0)
     for action in ACTIONS[:2, 0]:
         env.step(action)

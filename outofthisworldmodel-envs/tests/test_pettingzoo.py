@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
+from owm_envs.camera.schematic import COLOURS
 from owm_envs.pettingzoo import env as aec_env
 from owm_envs.pettingzoo import parallel_env
-from owm_envs.render.fleet import COLOURS
 from owm_envs.station import PORT_NAMES
 from owm_envs.task.events import Outcome
 from owm_envs.view import VIEW_SIZE, View
@@ -144,6 +144,8 @@ def test_bad_input_is_named():
         env.reset(options={"dock_port": ["zvezda_aft"]})
     with pytest.raises(ValueError, match="render_mode"):
         make(render_mode="human")
+    with pytest.raises(ValueError, match="did you mean 'station_top'"):
+        make(render_mode="rgb_array", camera_name="station_tpo")
     with pytest.raises(ValueError, match="from 1 to 8"):
         parallel_env(9)
 
@@ -162,12 +164,12 @@ def test_copies_go_on_as_the_original(duplicate):
 
 
 def test_rgb_array_shows_every_chaser():
-    env = make(render_mode="rgb_array")
+    env = make(render_mode="rgb_array", width=480, height=270)
     env.reset(seed=0)
     pictures = [env.render()]
     env.step({agent: PUSH for agent in env.agents})
     pictures.append(env.render())
-    assert pictures[0].dtype == np.uint8 and pictures[0].shape == (540, 960, 3)
+    assert pictures[0].dtype == np.uint8 and pictures[0].shape == (270, 480, 3)
     for colour in COLOURS[:3]:
         assert np.all(np.abs(pictures[0].astype(int) - colour) < 12, axis=-1).sum() > 20
     assert (pictures[0] != pictures[1]).any()

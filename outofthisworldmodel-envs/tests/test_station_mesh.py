@@ -164,7 +164,7 @@ def test_export_and_show_commands(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["station", "export", str(tmp_path / "chaser.obj")])
     picture = tmp_path / "station.png"
-    main(["station", "show", "--out", str(picture), "--width", "400", "--height", "250"])
+    main(["station", "show", str(picture), "--size", "400", "250"])
     assert "313 boxes covering 100.00 %" in capsys.readouterr().out
 
     import cv2

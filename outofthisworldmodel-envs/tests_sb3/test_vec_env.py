@@ -209,7 +209,7 @@ def test_actions_that_are_not_numbers_raise_where_asked(venv):
 
 
 def test_pictures_are_tiled():
-    venv = make_vec_env("iss-hcw", 2, seed=0, render_mode="rgb_array", **SHORT)
+    venv = make_vec_env("iss-hcw", 2, seed=0, render_mode="rgb_array", width=480, height=270, **SHORT)
     venv.reset()
     one = venv.env_method("render", indices=0)[0]
     tiled = venv.render()

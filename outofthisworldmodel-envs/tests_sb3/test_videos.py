@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecVideoRecorder
 import owm_envs  # noqa: F401 - registers the ids
 from owm_envs.sb3 import make_vec_env
 
-SHORT = {"horizon": 0.2, "render_mode": "rgb_array"}  # four steps an episode
+SHORT = {"horizon": 0.2, "render_mode": "rgb_array", "width": 480, "height": 270}  # four steps an episode
 EVERY = {"episode_trigger": lambda episode: True}
 
 
@@ -55,7 +55,7 @@ def test_record_video_of_a_batch(tmp_path, mode, lengths):
 
 
 def test_stable_baselines_records_too(tmp_path):
-    venv = make_vec_env("iss-hcw", 2, seed=0, horizon=4.0, render_mode="rgb_array")
+    venv = make_vec_env("iss-hcw", 2, seed=0, horizon=4.0, render_mode="rgb_array", width=480, height=270)
     venv = VecVideoRecorder(venv, str(tmp_path), lambda step: step == 0, video_length=3)
     venv.reset()
     for _ in range(4):

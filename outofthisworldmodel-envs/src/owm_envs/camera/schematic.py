@@ -103,8 +103,8 @@ def _photographs(scene, views, cameras):
         drawn = scene._replace(visitors=Visitors(*others))
         return tuple((render(drawn, own, camera), placed(camera, own)) for camera in cameras)
 
-    pixels = sum(camera.height * camera.width for camera in cameras)
-    return jax.lax.map(one, (views, cameras), batch_size=max(_AT_ONCE // pixels, 1))
+    at_once = _AT_ONCE // sum(camera.height * camera.width for camera in cameras)
+    return jax.lax.map(one, (views, cameras), batch_size=at_once if at_once > 1 and len(views) > 1 else None)
 
 
 @lru_cache(maxsize=1)
