@@ -99,9 +99,9 @@ def test_lit_sphere_sends_as_much_as_the_closed_form():
     for phase in (0.0, 0.8, 2.0):
         sun = np.array([np.sin(phase), 0.0, np.cos(phase)])
         white, black = (
-            jax.vmap(lambda n: _seen(_lights(sun=sun, sunlight=1.0), _look(c, 0.0, 1.0), (n[0], n[1], n[2]), _vector(_UP)))(
-                jnp.asarray(normals, jnp.float32)
-            )
+            jax.vmap(
+                lambda n: _seen(_lights(sun=sun, sunlight=1.0), _look(c, 0.0, 1.0), (n[0], n[1], n[2]), _vector(_UP))
+            )(jnp.asarray(normals, jnp.float32))
             for c in (1.0, 0.0)
         )
         facing = np.maximum(normals @ sun, 0.0)

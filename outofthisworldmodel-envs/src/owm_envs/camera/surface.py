@@ -25,7 +25,7 @@ class Pattern(NamedTuple):
     seams_along: tuple[float, float] = (1.0, 0.0)
     """Period along the face and width of the lines that run across it; of rings if `polar`."""
     seam: float = 1.0
-    """How bright seams are, of what is beside them."""
+    """How bright seams are, of the material itself."""
     patches_across: tuple[float, float] = (1.0, 0.0)
     """Period and width of the patches across the face."""
     patches_along: tuple[float, float] = (1.0, 0.0)
@@ -59,7 +59,7 @@ PATTERNS: dict[str, Pattern] = {
     "radiator": Pattern((0.30, 0.012), (2.92, 0.08), 0.35, (3.5, 3.2), (2.92, 0.35), (0.88, 0.89, 0.90), 0.04),
     # Folded panels, cells of 8 cm in strings.
     "array": Pattern(
-        (0.787, 0.04), (0.39, 0.02), 1.9, (0.0984, 0.088), (0.0975, 0.089), (0.40, 0.28, 0.16), 0.16, back="array_back"
+        (0.787, 0.04), (0.39, 0.02), 1.4, (0.0984, 0.088), (0.0975, 0.089), (0.50, 0.36, 0.20), 0.16, back="array_back"
     ),
     "array_back": Pattern((0.787, 0.06), (0.39, 0.03), 0.5, tones=0.12),
     "array_blue": Pattern((1.0, 0.05), (0.9, 0.05), 2.2, (0.125, 0.112), (0.125, 0.112), (0.10, 0.12, 0.26), 0.15),
@@ -81,7 +81,7 @@ class Materials(NamedTuple):
     metallic: Float[Array, "M"]
     roughness: Float[Array, "M"]
     seam: Float[Array, "M"]
-    """Brightness of seams, of what is beside them."""
+    """As of `Pattern`."""
     patch: Float[Array, "M 3"]
     """Linear RGB."""
     seams: Float[Array, "M 4"]
@@ -201,11 +201,13 @@ def look(
     grid = _covered(u - 0.5 * patches[0], *patches[:2], span_u) * _covered(v - 0.5 * patches[2], *patches[2:], span_v)
     open_ = (1.0 - _covered(u, *seams[:2], span_u)) * (1.0 - _covered(v, *seams[2:], span_v))
     seam = row(materials.seam)
-    tone = tone * (seam + open_ * (1.0 - seam))
+    bare = tone * (seam + open_ * (1.0 - seam))
+    filled = tone * open_ * grid
     colour = tuple(
-        jnp.minimum((base + grid * (patch - base)) * tone, 1.0)
+        jnp.minimum(bare * base + filled * (patch - base), 1.0)
         for base, patch in zip(rows(materials.colour), rows(materials.patch))
     )
+
     size, lean = rows(materials.creases)
     lean = lean * jnp.maximum(1.0 - span_v / size, 0.0)
     a, b, c = x / size, y / size, z / size

@@ -23,9 +23,7 @@ def _on_cone(name: str, degrees: float, height: float, diameter: float, material
 
 
 CHASER: tuple[Part, ...] = (
-    tube(
-        "capsule", "z", (-1.05, 1.60), (0.0, 0.0), 3.66, 1.70, "dragon", _DRAGON + "; place chosen to fit the sphere"
-    ),
+    tube("capsule", "z", (-1.05, 1.60), (0.0, 0.0), 3.66, 1.70, "dragon", _DRAGON + "; place chosen to fit the sphere"),
     tube("capsule_base", "z", (-1.28, -1.05), (0.0, 0.0), 3.45, 3.66, "dragon", _DRAGON),
     tube("heat_shield", "z", (-1.42, -1.28), (0.0, 0.0), 3.0, 3.45, "heat_shield", ESTIMATE),
     tube("berthing_ring", "z", (1.60, 2.05), (0.0, 0.0), 1.70, 1.60, "metal", ESTIMATE),
@@ -36,7 +34,7 @@ CHASER: tuple[Part, ...] = (
             (x - 0.32, x + 0.32),
             (y - 0.32, y + 0.32),
             (-0.75, 0.05),
-            "dark",
+            "dragon",
             "four Draco pods; " + ESTIMATE,
         )
         for name, x, y in (("px", 1.15, 1.05), ("nx", -1.15, 1.05), ("pu", 1.15, -1.05), ("nu", -1.15, -1.05))
@@ -46,7 +44,7 @@ CHASER: tuple[Part, ...] = (
     _on_cone("side_hatch", 180.0, -0.35, 1.10, "hatch"),
     _on_cone("window_port", 125.0, 0.35, 0.36, "glass"),
     _on_cone("window_starboard", -125.0, 0.35, 0.36, "glass"),
-    _on_cone("guidance_bay", 0.0, 0.10, 0.95, "black"),
+    _on_cone("guidance_bay", 0.0, 0.10, 0.70, "black"),
     _on_cone("grapple", 0.0, -0.80, 0.45, "metal"),
     *(
         part

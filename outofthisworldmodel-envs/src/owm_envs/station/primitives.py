@@ -38,7 +38,7 @@ MATERIALS: dict[str, Material] = {
     "foil": Material((0.83, 0.68, 0.42), 0.6, 0.40),  # golden insulation
     "equipment": Material((0.80, 0.80, 0.78), 0.0, 0.70),
     "radiator": Material((0.96, 0.96, 0.97), 0.0, 0.50),
-    "array": Material((0.56, 0.42, 0.25), 0.3, 0.40),  # gold-brown blankets of the large arrays
+    "array": Material((0.70, 0.54, 0.32), 0.3, 0.40),  # gold-brown blankets of the large arrays
     "array_back": Material((0.86, 0.70, 0.42), 0.1, 0.50),  # their reverse: film with the cells behind
     "array_blue": Material((0.30, 0.31, 0.38), 0.3, 0.30),  # frames of the Russian arrays and the chaser's
     "glass": Material((0.05, 0.07, 0.10), 0.0, 0.10),
