@@ -34,7 +34,7 @@ def _seen(lights, look, normal, to_eye):
 
 @jax.jit
 def _reflected(look, to_eye):
-    """Share of the light of an even sky of small suns that goes towards the eye: a midpoint rule over the half sphere."""
+    """Share of an even sky's light, sky of small suns, that goes towards the eye: a midpoint rule."""
     rows, columns = 400, 800
     height = (jnp.arange(rows, dtype=jnp.float32) + 0.5) / rows
     turn = 2.0 * np.pi * (jnp.arange(columns, dtype=jnp.float32) + 0.5) / columns
@@ -90,20 +90,21 @@ def test_lit_plane_is_lamberts_under_the_loss_to_the_gloss(degrees):
     np.testing.assert_allclose(_matt(_UP, _UP, sun, sunlight=1.0), expected, atol=2e-6)
 
 
+def _on_all(lights, look, normals):
+    one = lambda normal: _seen(lights, look, (normal[0], normal[1], normal[2]), _vector(_UP))
+    return jax.vmap(one)(jnp.asarray(normals, jnp.float32))
+
+
 def test_lit_sphere_sends_as_much_as_the_closed_form():
-    """Lambert's sphere under a phase angle p sends 2/3 (sin p + (pi - p) cos p) / pi of what a plane that wide would."""
+    """Under a phase angle p: 2/3 (sin p + (pi - p) cos p) / pi of what a plane as wide sends. Source: Lambert, 1760."""
     # Points even over the disc that the eye sees.
     radius, turn = np.sqrt((np.arange(4000) + 0.5) / 4000), 2.399963 * np.arange(4000)
     x, y = radius * np.cos(turn), radius * np.sin(turn)
     normals = np.stack([x, y, np.sqrt(1.0 - radius**2)], axis=1)
     for phase in (0.0, 0.8, 2.0):
         sun = np.array([np.sin(phase), 0.0, np.cos(phase)])
-        white, black = (
-            jax.vmap(
-                lambda n: _seen(_lights(sun=sun, sunlight=1.0), _look(c, 0.0, 1.0), (n[0], n[1], n[2]), _vector(_UP))
-            )(jnp.asarray(normals, jnp.float32))
-            for c in (1.0, 0.0)
-        )
+        lights = _lights(sun=sun, sunlight=1.0)
+        white, black = (_on_all(lights, _look(colour, 0.0, 1.0), normals) for colour in (1.0, 0.0))
         facing = np.maximum(normals @ sun, 0.0)
         lost = _passed(facing) * _passed(normals[:, 2])
         closed = 2.0 / 3.0 * (np.sin(phase) + (np.pi - phase) * np.cos(phase)) / np.pi

@@ -54,9 +54,9 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
 
     Returns:
         by name of the camera's `outputs`: `rgb` (H, W, 3) uint8, sRGB. `depth` (H, W) float32, along the optical axis
-        [m], infinite where no part is. `part` (H, W) int32, row of the station's `PARTS`, further on of its
-        `DETAILS`, of the chaser's parts, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking port, -1 for
-        none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
+        [m], infinite where no part is. `part` (H, W) int32, row of the station's `PARTS`, further on of its `DETAILS`,
+        of the chaser's parts, then of each visitor's; -1 where none is. `port` (H, W) int32, index of the docking port,
+        -1 for none. `normal` (H, W, 3) float32, unit vectors in the station frame, zero where no part is.
     """
     pose = placed(camera, view)
     cast = rays(camera, pose)

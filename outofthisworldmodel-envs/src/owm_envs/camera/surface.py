@@ -1,8 +1,8 @@
 """What a point of a part looks like: its colour, gloss and creases, by material.
 
 One formula draws every pattern. A face has two coordinates in metres: across (around a round body) and along. On them
-lie seams in both directions and a grid of patches; panels between seams differ in tone, and a blanket is creased. All of
-it is filtered: a pixel gets the mean over what it covers, so that a fine grid far away is an even tone.
+lie seams in both directions and a grid of patches. Panels between seams differ in tone, and a blanket is creased.
+All of it is filtered: a pixel gets the mean over what it covers. So a fine grid far away is an even tone.
 """
 
 from typing import NamedTuple
@@ -209,10 +209,12 @@ def look(
     )
 
     size, lean = rows(materials.creases)
-    lean = lean * jnp.maximum(1.0 - span_v / size, 0.0)
+    # Creases too small to be seen blur the gloss instead.
+    hidden = lean * jnp.minimum(span_v / size, 1.0)
+    lean, roughness = lean - hidden, jnp.minimum(row(materials.roughness) + 0.25 * hidden, 1.0)
     a, b, c = x / size, y / size, z / size
     first = _wave(a + 0.37 * c + 0.21 * b)
     second = _wave(b + 0.4 * first + 0.19 * c)
     third = _wave(c + 0.4 * second - 0.31 * a)
     bend = (lean * third, lean * first, lean * second)
-    return Look(colour, row(materials.metallic), row(materials.roughness), bend)
+    return Look(colour, row(materials.metallic), roughness, bend)
