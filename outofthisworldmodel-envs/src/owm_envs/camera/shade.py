@@ -67,6 +67,10 @@ def lights(light: Light, heavens: Heavens) -> Lights:
     return Lights(heavens.sun, sunlight, down, R_EARTH / distance, earthshine, light.bounce * sunlight, light.lamp)
 
 
+def _fifth(x: Array) -> Array:
+    return (x * x) ** 2 * x
+
+
 def _gloss(look: Look, normal: Vector, to_eye: Vector, to_light: Vector, facing: Array) -> tuple[Array, Array]:
     """Reflectance times pi of the gloss without its Fresnel term, and that term's fifth power."""
     half = unit(plus(to_eye, 1.0, to_light))
@@ -78,8 +82,7 @@ def _gloss(look: Look, normal: Vector, to_eye: Vector, to_light: Vector, facing:
     masking = 0.5 / (
         light * jnp.sqrt(eye * eye * (1.0 - alpha2) + alpha2) + eye * jnp.sqrt(light * light * (1.0 - alpha2) + alpha2)
     )
-    base = 1.0 - jnp.maximum(dot(to_eye, half), 0.0)
-    return lobe * masking, (base * base) ** 2 * base
+    return lobe * masking, _fifth(1.0 - jnp.maximum(dot(to_eye, half), 0.0))
 
 
 def radiance(lights: Lights, look: Look, normal: Vector, to_eye: Vector, distance: Array, lit: Array) -> Vector:
@@ -106,14 +109,15 @@ def radiance(lights: Lights, look: Look, normal: Vector, to_eye: Vector, distanc
     horizon = -jnp.sqrt(jnp.maximum(1.0 - lights.earth_sine**2, 0.0))
     blur = 0.1 + 0.9 * look.roughness
     mirrored = lights.earthshine * jax.nn.sigmoid((dot(away, down) + horizon) / (0.25 * blur)) + lights.bounce
-    grazing = 1.0 - eye
-    rim = (grazing * grazing) ** 2 * grazing * (1.0 - look.roughness) ** 2
+    # What the gloss throws back at grazing angles cannot come out of the matt layer as well.
+    matt_eye, matt_sun = 1.0 - _fifth(1.0 - eye), 1.0 - _fifth(1.0 - facing)
+    rim = (1.0 - matt_eye) * (1.0 - look.roughness) ** 2
     result = []
     for colour, tint in zip(look.colour, _EARTH_TINT):
         base = 0.04 + (colour - 0.04) * look.metallic
-        matt = colour * (1.0 - look.metallic) * (1.0 - base)
-        total = direct * (matt + lobe * (base + (1.0 - base) * fresnel))
-        total = total + lamp * (matt + lamp_lobe * (base + (1.0 - base) * lamp_fresnel))
+        matt = colour * (1.0 - look.metallic) * (1.0 - base) * matt_eye
+        total = direct * (matt * matt_sun + lobe * (base + (1.0 - base) * fresnel))
+        total = total + lamp * (matt * matt_eye + lamp_lobe * (base + (1.0 - base) * lamp_fresnel))
         total = total + matt * (earth * tint + lights.bounce) + (base + (1.0 - base) * rim) * mirrored * tint
         result.append(total)
     return tuple(result)

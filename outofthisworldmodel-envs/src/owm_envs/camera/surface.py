@@ -1,8 +1,8 @@
 """What a point of a part looks like: its colour, gloss and creases, by material.
 
 One formula draws every pattern. A face has two coordinates in metres: across (around a round body) and along. On them
-lie seams in both directions and a grid of patches; panels between seams differ in tone, and a blanket is creased. All of
-it is filtered: a pixel gets the mean over what it covers, so that a fine grid far away is an even tone.
+lie seams in both directions and a grid of patches. Panels between seams differ in tone, and a blanket is creased.
+All of it is filtered: a pixel gets the mean over what it covers. So a fine grid far away is an even tone.
 """
 
 from typing import NamedTuple
@@ -24,10 +24,12 @@ class Pattern(NamedTuple):
     """Period across the face and width of the lines that run along it."""
     seams_along: tuple[float, float] = (1.0, 0.0)
     """Period along the face and width of the lines that run across it; of rings if `polar`."""
-    seam: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    seam: float = 1.0
+    """How bright seams are, of the material itself."""
     patches_across: tuple[float, float] = (1.0, 0.0)
     """Period and width of the patches across the face."""
     patches_along: tuple[float, float] = (1.0, 0.0)
+    """The same along it."""
     patch: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tones: float = 0.0
     """Share by which panels between seams are darker, at most."""
@@ -39,46 +41,35 @@ class Pattern(NamedTuple):
     """Material of the face against local y; the same when empty."""
 
 
-_BLACK, _GREY, _GOLD = (0.12, 0.12, 0.13), (0.45, 0.45, 0.46), (0.62, 0.50, 0.28)
+_RAIL = (0.62, 0.50, 0.28)
 PATTERNS: dict[str, Pattern] = {
-    # Shield panels with seams, handrails in rows.
-    "shield": Pattern((1.15, 0.05), (1.22, 0.05), _GREY, (2.3, 0.07), (2.44, 1.5), _GOLD, 0.16),
-    "blanket": Pattern((0.95, 0.03), (1.05, 0.03), (0.62, 0.61, 0.58), tones=0.07, creases=(0.32, 0.16)),
+    # Shield panels, handrails in rows.
+    "shield": Pattern((1.15, 0.035), (1.22, 0.04), 0.35, (2.3, 0.07), (2.44, 1.5), _RAIL, 0.22),
+    "blanket": Pattern((0.95, 0.03), (1.05, 0.03), 0.5, tones=0.08, creases=(0.32, 0.16)),
     # Quilts tied down by seams, yellow handrails.
-    "russian": Pattern((0.9, 0.03), (0.6, 0.03), (0.45, 0.44, 0.37), (1.6, 0.06), (1.8, 0.9), _GOLD, 0.18, (0.25, 0.2)),
-    "russian_white": Pattern((0.8, 0.03), (0.7, 0.03), _GREY, (1.6, 0.06), (1.4, 0.8), _GOLD, 0.10, (0.22, 0.16)),
-    "adapter": Pattern((0.9, 0.03), (0.8, 0.03), (0.42, 0.42, 0.42), (1.8, 0.07), (1.6, 0.8), (0.8, 0.78, 0.7), 0.2),
-    "metal": Pattern((0.6, 0.03), (0.9, 0.03), (0.25, 0.25, 0.26), tones=0.15),
-    "truss": Pattern((0.8, 0.02), (1.0, 0.03), _GREY, tones=0.08),
-    # Trays and boxes side by side, dark slots between them.
-    "equipment": Pattern((1.1, 0.08), (0.9, 0.08), _BLACK, (2.2, 0.7), (2.7, 0.6), (0.50, 0.48, 0.42), 0.25),
-    "foil": Pattern((0.5, 0.02), (0.5, 0.02), (0.5, 0.36, 0.16), tones=0.15, creases=(0.15, 0.3)),
+    "russian": Pattern((0.9, 0.03), (0.6, 0.03), 0.45, (1.6, 0.06), (1.8, 0.9), _RAIL, 0.22, (0.25, 0.18)),
+    "russian_white": Pattern((0.8, 0.03), (0.7, 0.03), 0.45, (1.6, 0.06), (1.4, 0.8), _RAIL, 0.12, (0.22, 0.16)),
+    "adapter": Pattern((0.9, 0.03), (0.8, 0.03), 2.4, (1.8, 0.07), (1.6, 0.8), (0.8, 0.78, 0.7), 0.2),
+    "metal": Pattern((0.6, 0.03), (0.9, 0.03), 0.3, tones=0.15),
+    "truss": Pattern((0.8, 0.02), (1.0, 0.03), 0.4, tones=0.10),
+    # Trays and boxes side by side, slots between them.
+    "equipment": Pattern((1.1, 0.06), (0.9, 0.06), 0.10, (2.2, 0.7), (2.7, 0.6), (0.50, 0.48, 0.42), 0.30),
+    "foil": Pattern((0.5, 0.02), (0.5, 0.02), 0.4, tones=0.15, creases=(0.15, 0.3)),
     # Eight hinged panels, each with a pipe every 30 cm.
-    "radiator": Pattern(
-        (0.30, 0.012), (2.92, 0.09), (0.52, 0.53, 0.55), (3.5, 3.2), (2.92, 0.35), (0.88, 0.89, 0.90), 0.04
-    ),
-    # 82 folded panels a blanket, cells of 8 cm in strings.
+    "radiator": Pattern((0.30, 0.012), (2.92, 0.08), 0.35, (3.5, 3.2), (2.92, 0.35), (0.88, 0.89, 0.90), 0.04),
+    # Folded panels, cells of 8 cm in strings.
     "array": Pattern(
-        (0.787, 0.05),
-        (0.39, 0.024),
-        (0.80, 0.64, 0.38),
-        (0.0984, 0.088),
-        (0.0975, 0.089),
-        (0.42, 0.27, 0.13),
-        0.12,
-        back="array_back",
+        (0.787, 0.04), (0.39, 0.02), 1.4, (0.0984, 0.088), (0.0975, 0.089), (0.50, 0.36, 0.20), 0.16, back="array_back"
     ),
-    "array_back": Pattern((0.787, 0.06), (0.39, 0.03), (0.60, 0.44, 0.22), tones=0.10),
-    "array_blue": Pattern(
-        (1.0, 0.05), (0.9, 0.05), (0.45, 0.46, 0.50), (0.125, 0.112), (0.125, 0.112), (0.10, 0.12, 0.26), 0.15
-    ),
-    "dragon": Pattern((1.44, 0.03), (1.15, 0.04), (0.45, 0.45, 0.46), tones=0.05),
-    "trunk": Pattern((0.24, 0.02), (1.15, 0.05), (0.55, 0.56, 0.58), tones=0.05),
-    "heat_shield": Pattern((0.4, 0.02), (0.4, 0.02), (0.12, 0.09, 0.07), tones=0.2),
-    # Square bolts around the rim of a berthing ring.
-    "berth": Pattern((0.3927, 0.10), (0.25, 0.05), _GREY, tones=0.1, polar=1.0),
-    "hatch": Pattern((3.1416, 0.0), (0.45, 0.06), (0.30, 0.31, 0.32), tones=0.05, polar=1.0),
-    "drogue": Pattern((1.5708, 0.12), (0.32, 0.06), (0.55, 0.55, 0.53), polar=1.0),
+    "array_back": Pattern((0.787, 0.06), (0.39, 0.03), 0.5, tones=0.12),
+    "array_blue": Pattern((1.0, 0.05), (0.9, 0.05), 2.2, (0.125, 0.112), (0.125, 0.112), (0.10, 0.12, 0.26), 0.15),
+    "dragon": Pattern((1.44, 0.025), (1.15, 0.03), 0.35, tones=0.05),
+    "trunk": Pattern((0.24, 0.015), (1.15, 0.04), 0.45, tones=0.06),
+    "heat_shield": Pattern((0.4, 0.02), (0.4, 0.02), 0.4, tones=0.2),
+    # Bolts and latches around the rim of a berthing ring.
+    "berth": Pattern((0.3927, 0.10), (0.25, 0.04), 0.35, tones=0.1, polar=1.0),
+    "hatch": Pattern((3.1416, 0.0), (0.45, 0.06), 0.2, tones=0.05, polar=1.0),
+    "drogue": Pattern((1.5708, 0.12), (0.32, 0.06), 4.0, polar=1.0),
 }
 
 
@@ -89,9 +80,10 @@ class Materials(NamedTuple):
     """Linear RGB, the share of light that is thrown back."""
     metallic: Float[Array, "M"]
     roughness: Float[Array, "M"]
-    seam: Float[Array, "M 3"]
+    seam: Float[Array, "M"]
+    """As of `Pattern`."""
     patch: Float[Array, "M 3"]
-    """Linear RGB of seams and patches."""
+    """Linear RGB."""
     seams: Float[Array, "M 4"]
     patches: Float[Array, "M 4"]
     """Period and width across, period and width along [m]."""
@@ -127,7 +119,7 @@ def materials() -> Materials:
         colour=table(linear(np.array([row.colour for row in rows]))),
         metallic=table([row.metallic for row in rows]),
         roughness=table([row.roughness for row in rows]),
-        seam=table(linear(np.array([p.seam for p in drawn]))),
+        seam=table([p.seam for p in drawn]),
         patch=table(linear(np.array([p.patch for p in drawn]))),
         seams=table([(*p.seams_across, *p.seams_along) for p in drawn]),
         patches=table([(*p.patches_across, *p.patches_along) for p in drawn]),
@@ -184,10 +176,10 @@ def look(
         half: half extents of their parts [m].
         width: of what a pixel covers there [m].
     """
-    reverse = materials.back[material]
+    reverse = materials.back.at[material].get(mode="promise_in_bounds")
     material = jnp.where(normal[1] < -0.9, reverse, material)
-    row = lambda table: table[material]
-    rows = lambda table: tuple(table[material, j] for j in range(table.shape[1]))
+    row = lambda table: table.at[material].get(mode="promise_in_bounds")
+    rows = lambda table: [row(table[:, j]) for j in range(table.shape[1])]
     x, y, z = place
     end = jnp.abs(normal[2]) > 0.9
     polar = end & (row(materials.polar) > 0.5)
@@ -208,15 +200,21 @@ def look(
     tone = 1.0 - row(materials.tones) * (0.5 + jnp.maximum(1.0 - ratio, 0.0) * (panel - jnp.floor(panel) - 0.5))
     grid = _covered(u - 0.5 * patches[0], *patches[:2], span_u) * _covered(v - 0.5 * patches[2], *patches[2:], span_v)
     open_ = (1.0 - _covered(u, *seams[:2], span_u)) * (1.0 - _covered(v, *seams[2:], span_v))
-    colour = []
-    for base, patch, seam in zip(rows(materials.colour), rows(materials.patch), rows(materials.seam)):
-        colour.append(seam + open_ * ((base + grid * (patch - base)) * tone - seam))
+    seam = row(materials.seam)
+    bare = tone * (seam + open_ * (1.0 - seam))
+    filled = tone * open_ * grid
+    colour = tuple(
+        jnp.minimum(bare * base + filled * (patch - base), 1.0)
+        for base, patch in zip(rows(materials.colour), rows(materials.patch))
+    )
 
     size, lean = rows(materials.creases)
-    lean = lean * jnp.maximum(1.0 - span_v / size, 0.0)
+    # Creases too small to be seen blur the gloss instead.
+    hidden = lean * jnp.minimum(span_v / size, 1.0)
+    lean, roughness = lean - hidden, jnp.minimum(row(materials.roughness) + 0.25 * hidden, 1.0)
     a, b, c = x / size, y / size, z / size
     first = _wave(a + 0.37 * c + 0.21 * b)
     second = _wave(b + 0.4 * first + 0.19 * c)
     third = _wave(c + 0.4 * second - 0.31 * a)
     bend = (lean * third, lean * first, lean * second)
-    return Look(tuple(colour), row(materials.metallic), row(materials.roughness), bend)
+    return Look(colour, row(materials.metallic), roughness, bend)

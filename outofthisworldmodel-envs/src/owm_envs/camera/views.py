@@ -84,7 +84,7 @@ def camera(
         }
     elif name == "station_fpv":
         chosen = PORTS[port_index(port)]
-        place = np.array(chosen.interface) + 0.05 * np.array(chosen.normal)
+        place = np.array(chosen.interface) + 0.25 * np.array(chosen.normal)
         vertical = abs(chosen.normal[2]) > 0.9
         attitude = aimed(place, place + np.array(chosen.normal), (0.0, -1.0, 0.0) if vertical else ZENITH)
         fields = {"mount": "station", "position": place, "attitude": attitude, **perspective}

@@ -147,4 +147,18 @@ def _windows() -> tuple[Part, ...]:
     )
 
 
-DETAILS: tuple[Part, ...] = (*_mechanisms(), *_cupola(), *_windows())
+def _flanks() -> tuple[Part, ...]:
+    """What tells the Russian segment's nadir side from its zenith side: Zarya's radiators, boxes on Zvezda."""
+    parts = []
+    for name, degrees in (("port", 155.0), ("starboard", -155.0)):
+        way = _around(Z, X, degrees)
+        place = _plus((0.233, 12.8, -1.870), (2.02, way))
+        parts.append(_slab(f"zarya_radiator_{name}", place, way, Y, (1.15, 0.08, 6.4), "radiator"))
+    return (
+        *parts,
+        _slab("zvezda_box_forward", (-0.5, 22.4, -0.62), Z, Y, (0.8, 0.45, 0.9), "dark"),
+        _slab("zvezda_box_aft", (0.9, 23.7, -0.62), Z, Y, (0.7, 0.35, 0.8), "foil"),
+    )
+
+
+DETAILS: tuple[Part, ...] = (*_mechanisms(), *_cupola(), *_windows(), *_flanks())

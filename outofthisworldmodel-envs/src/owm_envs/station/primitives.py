@@ -22,7 +22,7 @@ class Material(NamedTuple):
 MATERIALS: dict[str, Material] = {
     "shield": Material((0.84, 0.84, 0.83), 0.15, 0.50),  # aluminium debris shields of the US segment
     "blanket": Material((0.88, 0.87, 0.84), 0.0, 0.75),  # white multi-layer insulation
-    "russian": Material((0.70, 0.69, 0.60), 0.0, 0.80),  # grey-beige insulation of the Russian segment
+    "russian": Material((0.70, 0.69, 0.635), 0.0, 0.80),  # grey-beige insulation of the Russian segment
     "russian_white": Material((0.80, 0.80, 0.77), 0.0, 0.80),  # its younger modules
     "adapter": Material((0.27, 0.27, 0.28), 0.1, 0.60),  # the dark cones between two docking standards
     "metal": Material((0.58, 0.59, 0.60), 0.6, 0.45),  # docking rings, joints
@@ -38,8 +38,8 @@ MATERIALS: dict[str, Material] = {
     "foil": Material((0.83, 0.68, 0.42), 0.6, 0.40),  # golden insulation
     "equipment": Material((0.80, 0.80, 0.78), 0.0, 0.70),
     "radiator": Material((0.96, 0.96, 0.97), 0.0, 0.50),
-    "array": Material((0.60, 0.43, 0.23), 0.3, 0.40),  # gold-brown blankets of the large arrays
-    "array_back": Material((0.84, 0.66, 0.36), 0.1, 0.50),  # their reverse: film with the cells behind
+    "array": Material((0.70, 0.54, 0.32), 0.3, 0.40),  # gold-brown blankets of the large arrays
+    "array_back": Material((0.86, 0.70, 0.42), 0.1, 0.50),  # their reverse: film with the cells behind
     "array_blue": Material((0.30, 0.31, 0.38), 0.3, 0.30),  # frames of the Russian arrays and the chaser's
     "glass": Material((0.05, 0.07, 0.10), 0.0, 0.10),
     "arm": Material((0.93, 0.92, 0.88), 0.0, 0.55),
