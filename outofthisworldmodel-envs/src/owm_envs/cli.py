@@ -100,7 +100,7 @@ def render(
         sheet: Draw a dozen pictures of each flight as one PNG, and no film.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
     from owm_envs.film import film_run
 
@@ -112,7 +112,6 @@ def render(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TimeElapsedColumn(),
     ]
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("frames", total=None)

@@ -70,10 +70,7 @@ def save_film(path: str | Path, images: Iterable[UInt8[np.ndarray, "H W 3"]], fp
         ImportError: PyAV is not installed.
         ValueError: the name does not end in .mp4.
     """
-    av = _av()
-    path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise ValueError(f"a film's name must end in .mp4, got {path}")
+    av, path = _av(), _mp4(path)
 
     def write(file: Any) -> None:
         with av.open(file, "w", format="mp4") as container:
@@ -90,6 +87,20 @@ def save_film(path: str | Path, images: Iterable[UInt8[np.ndarray, "H W 3"]], fp
                 container.mux(stream.encode())
 
     write_atomically(path, write)
+
+
+def film_camera(path: str | Path, name: str, size: int, port: str) -> Camera:
+    """Give the camera of a film to be saved as `path`, once nothing stands in its way; raises as `save_film`."""
+    _av()
+    _mp4(path)
+    return camera(name, height=size, width=size, port=port)
+
+
+def _mp4(path: str | Path) -> Path:
+    path = Path(path)
+    if path.suffix.lower() != ".mp4":
+        raise ValueError(f"a film's name must end in .mp4, got {path}")
+    return path
 
 
 def _av() -> Any:

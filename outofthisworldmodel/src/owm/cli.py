@@ -25,6 +25,8 @@ def fly(
     noise: str = "cooperative",
     env: str = "iss-numerical",
     out: Path | None = None,
+    video: Path | None = None,
+    camera: str = "chaser_fpv",
 ) -> None:
     """Fly a policy to a docking port and print how it went.
 
@@ -40,12 +42,15 @@ def fly(
         noise: Sensor noise: none, cooperative or noncooperative.
         env: iss, iss-hcw or iss-numerical.
         out: Folder for CSV, JSON and picture; by default one of these flights' own below runs/fly.
+        video: Film the first flight into this file, .mp4, ten times as fast as it was.
+        camera: Of the film: chaser_fpv, chaser_isometric, chaser_top, station_isometric, station_top or station_fpv.
     """
     checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import fly as run
 
-    run(policy, port, flights=flights, seed=seed, shell=shell, noise=noise, fidelity=env, out=out, plot=plot)
+    simulation = {"shell": shell, "noise": noise, "fidelity": env}
+    run(policy, port, flights=flights, seed=seed, **simulation, out=out, plot=plot, video=video, camera=camera)
 
 
 def evaluate_docking(

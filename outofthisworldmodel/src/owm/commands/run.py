@@ -29,10 +29,15 @@ from owm.study.matrix import Matrix, Study, read_matrix
 from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
+from owm_envs.adapters.gymnasium import DockingGymEnv
+from owm_envs.camera.lens import Camera
 from owm_envs.claims import Claim, digest
 from owm_envs.config import DockingConfig
 from owm_envs.files import output_folder, slug
+from owm_envs.film import film_camera, frames, save_film
 from owm_envs.station import PORT_NAMES
+
+_FILM_SIZE, _FILM_FPS = 512, 20.0
 
 
 def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | None = None) -> None:
@@ -102,6 +107,8 @@ def fly(
     fidelity: str = "iss-numerical",
     out: Path | None = None,
     plot: bool = False,
+    video: Path | None = None,
+    camera: str = "chaser_fpv",
 ) -> Flights:
     """Fly a policy to one port, print a table, and write CSV, JSON and, if asked, a picture.
 
@@ -117,12 +124,16 @@ def fly(
         fidelity: of the simulation.
         out: folder for the files; by default one of these flights' own below `runs/fly`.
         plot: draw the trajectories.
+        video: film the first flight into this file, .mp4.
+        camera: name of the film's camera.
 
     Raises:
-        ValueError, FileNotFoundError: an unknown policy, port, shell, noise preset or fidelity.
+        ValueError, FileNotFoundError: an unknown policy, port, shell, noise preset, fidelity or camera.
+        ImportError: a film is asked for without PyAV.
         FolderTaken: `out` holds other flights or something else.
     """
     kind_of(policy)
+    lens = None if video is None else film_camera(video, camera, _FILM_SIZE, port)
     config = evaluation_config(shell, noise=noise, fidelity=fidelity)
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
@@ -141,10 +152,27 @@ def fly(
         picture = claim.folder / f"{slug(policy)}_{port}.png"
         save_figure(trajectory_figure(flown), picture)
         files.append(picture)
+    if video is not None:
+        _film(flown, config, lens, video)
+        files.append(video)
     print_table(flight_table(flown), f"{flown.policy} to {port}")
     for file in files:
         print(file)
     return flown
+
+
+def _film(flown: Flights, config: DockingConfig, lens: Camera, video: Path) -> None:
+    """Film the first flight, ten times as fast as it was."""
+    views = flown.trajectory[0]
+    views = views[np.isfinite(views).all(axis=1)]
+    # A flight's epoch is that of its seed and port.
+    _, info = DockingGymEnv(config).reset(seed=int(flown.seed[0]), options={"dock_port": int(flown.port[0])})
+    epochs = info["epoch"] + np.arange(len(views))[:, None] * np.array([0.0, flown.decision_dt])
+    step = max(1, round(10.0 / (_FILM_FPS * flown.decision_dt)))
+    views, epochs = views[::step], epochs[::step]
+    with bar("filming", "frames") as update:
+        shot = enumerate(frames(views, epochs, lens, config), 1)
+        save_film(video, (update(done, len(views)) or image for done, image in shot), _FILM_FPS)
 
 
 def fly_named(
