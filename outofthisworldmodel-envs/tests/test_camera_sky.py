@@ -110,11 +110,13 @@ def test_full_and_new_moon():
     assert degrees_between(full.sun, full.moon) > 177.0
     away = full._replace(earth=np.array([0.0, 0.0, -1e9]))  # the Earth out of the way
     bright = shown(away, [away.moon])
-    half = shown(away._replace(sun=np.cross(away.moon, [0.1, 0.2, 0.97])), [away.moon])
+    side = np.cross(away.moon, [0.1, 0.2, 0.97]) / np.linalg.norm(np.cross(away.moon, [0.1, 0.2, 0.97]))
+    limbs = [away.moon + sign * 0.5 * away.moon_radius * side for sign in (1, -1)]
+    lit, unlit = shown(away._replace(sun=side, sunlight=np.array(0.0)), limbs / np.linalg.norm(limbs, axis=1)[:, None])
     eclipsed = away._replace(sun=away.moon, sun_radius=0.9 * away.moon_radius, sunlight=np.array(0.0))
     dark = shown(eclipsed, [away.moon])
     assert 0.08 < bright.mean() < 0.2
-    assert 0.0 < half.mean() < bright.mean()
+    assert lit.min() > 0.03 and unlit.max() < 1e-3
     assert dark.max() < 1e-3
 
 
@@ -147,16 +149,19 @@ def test_j2_sweeps_the_beta_angle_and_its_switch_leaves_the_orbit_alone():
             env = DockingEnv(None, fidelity="iss-numerical", chief={"secular_drift": drift})
             params = env.default_params()
             view = jnp.zeros(13).at[6].set(1.0)
+            all_dynamics = [make(env.config) for make in DYNAMICS.values()]
+
+            @jax.jit
+            def at_day(params, day, view=view, all_dynamics=tuple(all_dynamics)):
+                epoch = params.chief.epoch + jnp.stack([day, jnp.zeros_like(day)])
+                orbits = [station_orbit(d, params, d.init(params, epoch, view)) for d in all_dynamics]
+                return jnp.stack(orbits), jnp.degrees(jnp.arcsin(heavens(epoch, orbits[0][:3], orbits[0][3:]).sun[0]))
+
             angles = []
             for day in range(8):
-                epoch = params.chief.epoch + jnp.asarray([float(day), 0.0])
-                orbits = []
-                for make in DYNAMICS.values():
-                    dynamics = make(env.config)
-                    orbits.append(station_orbit(dynamics, params, dynamics.init(params, epoch, view)))
-                for other in orbits[1:]:
-                    np.testing.assert_allclose(other, orbits[0], rtol=0, atol=1e-6)
-                angles.append(float(np.degrees(np.arcsin(heavens(epoch, orbits[0][:3], orbits[0][3:]).sun[0]))))
+                orbits, beta = at_day(params, jnp.asarray(float(day)))
+                np.testing.assert_allclose(orbits, np.stack([orbits[0]] * 3), rtol=0, atol=1e-6)
+                angles.append(float(beta))
             sweeps.append(angles)
     np.testing.assert_allclose(sweeps[0][::7], [-21.7, 4.2], atol=0.1)
     np.testing.assert_allclose(sweeps[1][::7], [-21.7, -19.5], atol=0.1)
