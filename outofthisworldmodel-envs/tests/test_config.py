@@ -138,6 +138,8 @@ def _changed(path, value):
         return ["unity_nadir"]
     if path == ("chief", "reference_epoch"):
         return "2027-01-01T00:00:00Z"
+    if isinstance(value, bool):
+        return not value
     if isinstance(value, tuple):
         return (value[0], *[x + 1 if isinstance(x, int) else x + 0.5 for x in value[1:]])
     if path == ("chief", "eccentricity"):

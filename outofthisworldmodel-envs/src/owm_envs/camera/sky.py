@@ -351,7 +351,7 @@ def _ground(hold, sky, heavens, normal, up, distance, day, soft, sunlit, toward_
 
     open_sky = 1.0 - cover
     lights = jnp.maximum(lights * (1.0 + 4.0 * rough), 0.0)
-    night = sky.night_gain * lights * lights * (1.0 - 0.85 * cover) * jnp.clip(-8.0 * day + 0.2, 0.0, 1.0)
+    night = sky.night_gain * lights * lights * (1.0 - 0.7 * cover) * jnp.clip(-8.0 * day + 0.2, 0.0, 1.0)
     mottled = 0.72 * (1.0 + (0.45 - 0.35 * water) * rough)
     channels = []
     white = 0.84 * relief * (1.0 + 0.35 * rough)
@@ -425,7 +425,7 @@ def splat_stars(
     height, width = size
     toward = jnp.matmul(sky.stars, heavens.icrf_from_station, precision=jax.lax.Precision.HIGHEST)
     here = -heavens.earth / R_EARTH
-    falling = toward @ here
+    falling = jnp.sum(toward * here[None], -1)
     nearest = jnp.sum(here * here) - falling * falling
     clear = (falling > 0) | (nearest > (1 + 2 * SCALE_HEIGHT) ** 2)
     place, before = project(toward)
