@@ -38,7 +38,9 @@ def fly(policy, views, decisions, bias=NO_BIAS):
     actions = []
     for _ in range(decisions):
         action, _ = policy.predict(observe(policy.layout, views))
-        views = np.asarray(move(bias, views, action))
+        # One body at a time: a program for two may round otherwise than one for one.
+        moved = [move(bias, view[None], wrench[None])[0] for view, wrench in zip(views, action, strict=True)]
+        views = np.stack(moved)
         actions.append(action)
     return views, np.stack(actions)
 

@@ -277,7 +277,8 @@ def test_two_devices_give_one_device_s_losses(uninterrupted, episodes, tmp_path)
     def logged():
         return metrics.exists() and metrics.read_bytes().count(b"\n") >= 4
 
-    killed_once(logged, episodes, tmp_path, out, XLA_FLAGS="--xla_force_host_platform_device_count=2")
+    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
+    killed_once(logged, episodes, tmp_path, out, XLA_FLAGS=flags)
     assert json.loads((out / "run.json").read_text(encoding="utf-8"))["settled"] == {"batch": 16, "devices": 2}
     theirs = [json.loads(line) for line in metrics.read_text(encoding="utf-8").splitlines()[:4]]
     for ours, other in zip(lines(one)[:4], theirs, strict=True):
