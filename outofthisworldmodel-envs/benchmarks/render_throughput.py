@@ -7,18 +7,20 @@
 
 The chaser is 50 m from the station's nearest part and looks at the station, from all sides. Ours shades, with shadows,
 the Earth and the stars; so does "ours, black sky", but for these. Brute force is JAX as well: every ray against every
-part, first hit and one ray to the Sun, no shading. Embree (C++ with SIMD instructions and a hierarchy of bounds) gets the
-triangles of the exported mesh: first hit and one ray to the Sun, no shading; one process a core.
+part, first hit and one ray to the Sun, no shading. Embree (C++ with SIMD instructions and a hierarchy of bounds) gets
+the triangles of the exported mesh: first hit and one ray to the Sun, no shading; one process a core.
 The last line is all figures as JSON.
 """
 
 import argparse
 import json
 import multiprocessing
+import operator
 import os
 import resource
 import time
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -37,6 +39,7 @@ from owm_envs.station import PARTS, nearest_part
 from owm_envs.view import View
 
 AWAY = 50.0
+RIVALS = ("black", "brute", "embree")
 SUN = np.asarray(noon().sun, np.float64)
 
 
@@ -109,18 +112,15 @@ def embree_frames(side: int, seconds: float) -> float:
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 
-    from owm_envs.station import CHASER
     from owm_envs.station.mesh import scene as mesh_scene
 
-    del CHASER  # its own vehicle casts no shadow in this view that counts
     mesh = mesh_scene(PARTS).to_geometry()
     world = rtcore_scene.EmbreeScene()
     TriangleMesh(world, np.asarray(mesh.triangles, np.float32))
     eye = camera("chaser_fpv", height=side, width=side)
     cut = grid(eye)
     origins, ways = [], []
-    for number in range(4):
-        view = jax.tree.map(lambda part: part[number], views(4))
+    for view in (View(*parts) for parts in zip(*views(4))):
         cast = rays(eye, placed(eye, view), cut, jnp.arange((cut.across.shape[0] - 1) ** 2))
         way = np.stack([np.asarray(w).ravel() for w in cast.way], axis=-1)
         ways.append(np.ascontiguousarray(way, np.float32))
@@ -182,7 +182,7 @@ def rollout_share(slots: int, console: Console) -> dict[str, float]:
                 return jax.lax.scan(decide, states, length=20)[0]
 
             states = start(params, keys)
-            seconds = best_of(lambda: jax.block_until_ready(fly(params, states)), 4.0)
+            seconds = best_of(partial(lambda fly, *rest: jax.block_until_ready(fly(*rest)), fly, params, states), 4.0)
         figures[label] = 20 * slots / seconds
         console.print(f"{label:>13}: {figures[label]:,.0f} decisions/s in a batch of {slots}")
     share = 1.0 - figures["state+pixels"] / figures["state"]
@@ -239,18 +239,14 @@ def main() -> None:
                 row["brute"] = 1.0 / best_of(brute_force(black, side), options.seconds)
             if "embree" not in options.skip:
                 row["embree"] = embree(side, options.seconds, cores)
-            ratio = lambda name: f"{row[name]:,.1f} ({row['ours'] / row[name]:.2f}x)" if name in row else "-"
-            table.add_row(
-                f"{side}x{side}", str(batch), f"{row['ours']:,.1f}", ratio("black"), ratio("brute"), ratio("embree")
-            )
+            beside = [f"{row[n]:,.1f} ({row['ours'] / row[n]:.2f}x)" if n in row else "-" for n in RIVALS]
+            table.add_row(f"{side}x{side}", str(batch), f"{row['ours']:,.1f}", *beside)
             figures[f"{side}"] = row
         for count in options.parts:
-            kept = np.arange(black.station.present.shape[0]) < count
-            some = black._replace(station=jax.tree.map(lambda a: a[:count], black.station)) if count else black
-            figures[f"parts_{count}"] = 64 / best_of(ours(some, 64, 64), options.seconds)
-            console.print(
-                f"{int(kept.sum())} of the station's parts, 64x64, black sky: {figures[f'parts_{count}']:,.0f} frames/s"
-            )
+            station = jax.tree.map(operator.itemgetter(slice(count)), black.station)
+            rate = 64 / best_of(ours(black._replace(station=station), 64, 64), options.seconds)
+            figures[f"parts_{count}"] = rate
+            console.print(f"{count} of the station's parts, 64x64, black sky: {rate:,.0f} frames/s")
         console.print(table)
     print(json.dumps(figures))
 

@@ -1,4 +1,4 @@
-"""Draw the gallery: an approach as the chaser sees it, the station, an orbit by day, dusk and night, a docking as a film.
+"""Draw the gallery: an approach as the chaser sees it, an orbit by day, dusk and night, a docking as a film.
 
 python tools/gallery.py ../docs/images            # about two minutes
 """
@@ -32,7 +32,7 @@ DRAW = jax.jit(lambda scene, view, eye: render(scene, view, eye)["rgb"])
 
 
 def orbit(days: float, minutes: np.ndarray) -> Heavens:
-    """What stands where over an orbit that begins so many days after the reference epoch; leading axis of the minutes."""
+    """What stands where over an orbit that begins so many days after the reference epoch; one row a minute."""
     with jax.enable_x64(True):
         chief = DockingEnv(fidelity="iss").default_params().chief
         chief = jax.tree.map(lambda a: a.astype(jnp.float64), chief)

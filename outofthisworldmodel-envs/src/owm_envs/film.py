@@ -12,6 +12,7 @@ from owm_envs.camera.lens import Camera
 from owm_envs.camera.light import heavens
 from owm_envs.camera.render import render
 from owm_envs.camera.scene import default_scene
+from owm_envs.camera.sky import load_sky
 from owm_envs.camera.views import camera
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import params_from_config
@@ -42,7 +43,7 @@ def frames(
         config: of the environment: the station's orbit.
     """
     with own_flags():
-        params, scene = params_from_config(config), default_scene()
+        params, scene = params_from_config(config), default_scene(sky=load_sky())
     views, epochs = (np.asarray(rows, config.precision) for rows in (views, epochs))
     for first in range(0, len(views), _AT_ONCE):
         rows = np.minimum(np.arange(first, first + _AT_ONCE), len(views) - 1)

@@ -23,6 +23,7 @@ from owm_envs.camera.lens import Camera
 from owm_envs.camera.light import heavens
 from owm_envs.camera.render import render
 from owm_envs.camera.scene import Scene, Visitors, default_scene
+from owm_envs.camera.sky import load_sky
 from owm_envs.camera.views import camera
 from owm_envs.config.camera import CameraConfig
 from owm_envs.config.parts import CameraRanges
@@ -98,7 +99,8 @@ class CameraSensor:
     def default_params(self) -> CameraParams:
         """Give the scene, the camera and the sizes of its errors as arrays."""
         config = self.config
-        scene = default_scene(len(config.visitors))
+        sky = load_sky(config.earth_map, config.cloud_map, config.night_map) if config.sky else None
+        scene = default_scene(len(config.visitors), sky)
         light = scene.light._replace(
             sun=scene.light.sun * jnp.asarray(config.sun, jnp.float32), lamp=jnp.asarray(config.lamp, jnp.float32)
         )

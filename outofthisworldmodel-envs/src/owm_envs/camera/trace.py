@@ -260,7 +260,7 @@ def sweep(
 
 
 def _pooled(first: bool):
-    """The search of a pool. A batch of pools is one larger pool, so that tiles of all its pictures go through sorted."""
+    """The search of a pool. A batch of pools is one larger pool: the tiles of all its pictures go through sorted."""
 
     @jax.custom_batching.custom_vmap
     def search(pool: Pool):

@@ -57,6 +57,7 @@ class CameraStructure(NamedTuple):
     every: int
     samples: int
     visitors: int
+    sky: bool
     effects: bool
 
 
@@ -85,6 +86,13 @@ class CameraConfig(Frozen):
     """Brightness of a white plane 10 m before the camera's lamp, of one in sunlight."""
     visitors: tuple[str | Pose, ...] = ()
     """Other Dragons: the name of the port where one holds, or position [m] and attitude (body to station)."""
+    sky: bool = True
+    """Whether Earth, Sun, Moon and stars stand behind the station; else it is black there."""
+    earth_map: str | None = None
+    """File of an equirectangular image of the Earth by day in place of the packaged one."""
+    cloud_map: str | None = None
+    night_map: str | None = None
+    """Likewise, grey: opacity of clouds, and lights by night."""
     effects: EffectsConfig = EffectsConfig()
 
     @field_validator("view", "channels", mode="before")
@@ -114,5 +122,6 @@ class CameraConfig(Frozen):
             self.every,
             self.samples,
             len(self.visitors),
+            self.sky,
             self.effects.active,
         )
