@@ -38,7 +38,6 @@ def _counted(scene, view, camera):
 
 draw = jax.jit(_counted)
 draw_views = jax.jit(jax.vmap(render, in_axes=(None, 0, None)))
-draw_cameras = jax.jit(jax.vmap(render, in_axes=(None, None, 0)))
 
 
 def small(**changes):
@@ -199,7 +198,11 @@ def test_a_batch_is_its_pictures_one_by_one():
     for count in (2, 6):
         batch = draw_views(scene(), jax.tree.map(lambda part: part[:count], views), small())  # noqa: B023
         for name in ALL:
-            np.testing.assert_array_equal(batch[name], np.stack([one[name] for one in each[:count]]), err_msg=name)
+            alone = np.stack([one[name] for one in each[:count]])
+            if name in ("depth", "normal"):  # the order of roundings is the compiler's
+                np.testing.assert_allclose(batch[name], alone, rtol=1e-5, atol=1e-5, err_msg=name)
+            else:
+                np.testing.assert_array_equal(batch[name], alone, err_msg=name)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 13), (72, 40)])
@@ -243,7 +246,7 @@ def test_what_is_absent_is_not_seen():
     assert not np.isfinite(seen["depth"]).any() and (np.asarray(seen["part"]) == -1).all()
 
 
-def lit(view, lens, shown, monkeypatch):
+def lit(shown, monkeypatch):
     """The mean of a picture's light, as a function that can be differentiated."""
     monkeypatch.setattr("owm_envs.camera.render.encoded", lambda light: light)
     return jax.jit(jax.value_and_grad(lambda view, lens: render(shown, view, lens)["rgb"].mean(), argnums=(0, 1)))
@@ -251,7 +254,7 @@ def lit(view, lens, shown, monkeypatch):
 
 def test_gradients_of_a_lit_sphere_match_differences(monkeypatch):
     """A sphere fills the picture, so that no edge moves through it."""
-    lone = solids((ball("ball", (0.0, 0.0, 0.0), 20.0, "blanket", "a test"),), MATERIAL_NAMES)
+    lone = solids((ball("ball", (0.0, 0.0, 0.0), 20.0, "dark", "a test"),), MATERIAL_NAMES)
     shown = scene()._replace(station=lone)
     sun = np.asarray(shown.heavens.sun)
     place = 14.0 * sun + np.array([0.0, 0.0, 1.0])
@@ -262,7 +265,7 @@ def test_gradients_of_a_lit_sphere_match_differences(monkeypatch):
     view = View.of(jnp.asarray([*place, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], jnp.float32))
     # The vehicle itself stands around its camera, and is no part of this.
     shown = shown._replace(chaser=shown.chaser._replace(present=jnp.zeros_like(shown.chaser.present)))
-    slope = lit(view, lens, shown, monkeypatch)
+    slope = lit(shown, monkeypatch)
     _, (by_view, by_lens) = slope(view, lens)
     for axis in range(3):
         step = 0.05 * np.eye(3, dtype=np.float32)[axis]
@@ -277,7 +280,7 @@ def test_gradients_of_a_lit_sphere_match_differences(monkeypatch):
 def test_gradients_are_finite_everywhere(monkeypatch):
     views = random_views(np.random.default_rng(9), 8, 40.0)
     lens = camera("chaser_fpv", height=8, width=8)
-    slope = lit(None, lens, scene(), monkeypatch)
+    slope = lit(scene(), monkeypatch)
     for row in range(8):
         _, found = slope(jax.tree.map(lambda part: jnp.asarray(part[row]), views), lens)  # noqa: B023
         for path, leaf in jax.tree.leaves_with_path(found):
