@@ -1,4 +1,4 @@
-"""Train Stable-Baselines3 PPO on pixels for minutes: `python examples/pixels_sb3.py [--observation pixels] [--steps N]`.
+"""Train Stable-Baselines3 PPO on pixels for minutes: `python examples/pixels_sb3.py [--observation pixels]`.
 
 With `state+pixels` a `MultiInputPolicy` sees the state part and the frame, with `pixels` a `CnnPolicy` the frame alone.
 Frames are small and come once a second, as decisions do; the network is small too, so that two cores suffice. What is
@@ -8,6 +8,7 @@ Needs `pip install "outofthisworldmodel-envs[sb3]"`.
 """
 
 import argparse
+import itertools
 import time
 from pathlib import Path
 
@@ -35,7 +36,7 @@ class SmallNet(BaseFeaturesExtractor):
         parts = space.spaces if isinstance(space, spaces.Dict) else {"pixels": space}
         channels, height, width = parts["pixels"].shape  # channels first: Stable-Baselines3 has turned them
         layers, sizes = [], (channels, 16, 32, 32)
-        for before, after in zip(sizes, sizes[1:]):
+        for before, after in itertools.pairwise(sizes):
             layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.ReLU()]
         places = -(-height // 8) * -(-width // 8)
         seen = sizes[-1] * places + sum(part.shape[0] for name, part in parts.items() if name != "pixels")
