@@ -74,9 +74,9 @@ class CameraConfig(Frozen):
     """Rays along each side of a pixel."""
     port: str = PORTS[0].name
     """At which `station_fpv` stands."""
-    field_deg: None | Annotated[float, Field(gt=0, lt=180), unit("deg")] = None
+    field_deg: Annotated[Annotated[float, Field(gt=0, lt=180)] | None, unit("deg")] = None
     """Vertical field of view; the view's own if absent."""
-    position: None | Annotated[Vector3, unit("m")] = None
+    position: Annotated[Vector3 | None, unit("m")] = None
     """Of the camera in its mount's frame; the view's own if absent."""
     exposure: Stops = 0.0
     sun: Annotated[NonNegative, unit("1")] = 1.0
