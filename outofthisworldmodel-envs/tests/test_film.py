@@ -67,7 +67,7 @@ def test_a_film_reads_back(tmp_path):
     assert len(seen) == 6 and seen[0].shape == (18, 16, 3)
     for number, image in enumerate(seen):
         assert abs(image.mean() - 40 * number) < 4
-    with pytest.raises(ValueError, match="must end in .mp4"):
+    with pytest.raises(ValueError, match=r"must end in \.mp4"):
         save_film(tmp_path / "film.gif", images, 20.0)
 
 
