@@ -13,7 +13,10 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from owm_envs.camera.sensor import CameraSensor
 from owm_envs.config import load_config
+from owm_envs.config.camera import CameraConfig, EffectsConfig
+from owm_envs.config.parts import CameraRanges
 from owm_envs.env import DockingEnv
 from owm_envs.view import View
 
@@ -88,6 +91,43 @@ def test_both_parts_are_a_dict():
 def test_mistakes_are_named(settings, says):
     with pytest.raises(ValueError, match=says):
         load_config(**settings)
+
+
+CHANGES = {
+    "view": "chaser_top", "height": 17, "width": 17, "channels": "gray", "every": 7, "samples": 2, "field_deg": 50.0,
+    "position": (0.0, 0.0, 1.0), "exposure": 1.0, "sun": 2.0, "lamp": 3.0, "visitors": ("zvezda_aft",),
+    **{("effects", name): 0.5 for name in EffectsConfig.model_fields},
+    **{("ranges", name): (0.25, 0.75) for name in CameraRanges.model_fields},
+}  # fmt: skip
+
+
+def test_every_setting_reaches_the_sensor():
+    """A field that changes neither the structure nor a number would be a knob without a wire."""
+
+    def told(config, ranges):
+        sensor = CameraSensor(config, ranges)
+        own = sensor.default_params()
+        ranges = None if own.ranges is None else [np.asarray(part) for part in own.ranges]
+        effects = None if own.effects is None else [np.asarray(part) for part in own.effects]
+        return repr(
+            (config.structure, jax.tree.leaves((own.scene.light, own.scene.visitors, own.camera)), effects, ranges)
+        )
+
+    plain = told(CameraConfig(), CameraRanges())
+    assert {name if isinstance(name, str) else name[0] for name in CHANGES} | {"port"} == {
+        *CameraConfig.model_fields,
+        "ranges",
+    }
+    for name, value in CHANGES.items():
+        group, name = name if isinstance(name, tuple) else (None, name)
+        ranges = CameraRanges(**{name: value}) if group == "ranges" else CameraRanges()
+        effects = {"effects": EffectsConfig(**{name: value})} if group == "effects" else {}
+        config = CameraConfig(**effects) if group else CameraConfig(**{name: value})
+        assert told(config, ranges) != plain, name
+    inside = [
+        told(CameraConfig(view="station_fpv", port=port), CameraRanges()) for port in ("zvezda_aft", "pirs_nadir")
+    ]
+    assert inside[0] != inside[1]
 
 
 def test_frames_come_when_due_and_are_held_between(flight):

@@ -71,20 +71,20 @@ class CameraConfig(Frozen):
     """rgb and gray are uint8; depth is float32 in metres, 0 where no part is; part and port are int32, -1 for none."""
     every: Annotated[int, Field(ge=1), unit("decisions")] = 1
     """Decisions from one frame to the next; the last one is held between."""
-    samples: Annotated[int, Field(ge=1, le=8)] = 1
+    samples: Annotated[int, Field(ge=1, le=8), unit("rays")] = 1
     """Rays along each side of a pixel."""
     port: str = PORTS[0].name
     """At which `station_fpv` stands."""
-    field_deg: Annotated[float, Field(gt=0, lt=180), unit("deg")] | None = None
+    field_deg: Annotated[Annotated[float, Field(gt=0, lt=180)] | None, unit("deg")] = None
     """Vertical field of view; the view's own if absent."""
-    position: Annotated[Vector3, unit("m")] | None = None
+    position: Annotated[Vector3 | None, unit("m")] = None
     """Of the camera in its mount's frame; the view's own if absent."""
     exposure: Stops = 0.0
     sun: Annotated[NonNegative, unit("1")] = 1.0
     """Brightness of the Sun, of its true one."""
     lamp: Annotated[NonNegative, unit("1")] = 0.5
     """Brightness of a white plane 10 m before the camera's lamp, of one in sunlight."""
-    visitors: tuple[str | Pose, ...] = ()
+    visitors: Annotated[tuple[str | Pose, ...], unit("m")] = ()
     """Other Dragons: the name of the port where one holds, or position [m] and attitude (body to station)."""
     sky: bool = True
     """Whether Earth, Sun, Moon and stars stand behind the station; else it is black there."""

@@ -29,7 +29,9 @@ FORMAT = 1
 BEHAVIOUR_MIX = {"random": 0.30, "orbit": 0.35, "dock": 0.35}
 """Share of each policy among the train episodes. Source: the paper's data generation."""
 BYTES_PER_TRANSITION = 300
-"""Upper estimate of a transition on disk, measured."""
+"""Upper estimate of a transition on disk without pixels, measured."""
+_CHUNK_BYTES = 2**27
+"""Of pixels and the like that a chunk of a rollout may hold."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def generate(
         spill = partial / "spill"  # what a killed run left there is of no use
         shutil.rmtree(spill, ignore_errors=True)
         spill.mkdir()
-        recorder = _Recorder(config, request, sensors, spill, announce, progress)
+        recorder = _Recorder(config, request, sensors, parts, spill, announce, progress)
         for split in ("train", "val"):
             writers[split] = SplitWriter(partial / split, 1 / config.decision_dt, parts)
             recorder.record(split, writers[split], flights[split], targets[split], least[split])
@@ -196,12 +198,15 @@ def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dic
     expected = sum(max(targets[split], least[split] * longest) for split in targets) + longest
     there = sum(file.stat().st_size for file in partial.rglob("*") if file.is_file())
     disk = next(folder for folder in partial.absolute().parents if folder.exists())
-    frame = sum(math.prod(part.shape) * np.dtype(part.dtype).itemsize for part in parts.values())
-    needed, free = expected * (BYTES_PER_TRANSITION + frame) - there, shutil.disk_usage(disk).free
+    needed, free = expected * (BYTES_PER_TRANSITION + _frame_bytes(parts)) - there, shutil.disk_usage(disk).free
     if needed > free:
         raise OSError(
             errno.ENOSPC, f"{expected:,} transitions may take {needed / 1e6:,.0f} MB; {free / 1e6:,.0f} MB are free"
         )
+
+
+def _frame_bytes(parts: dict[str, Any]) -> int:
+    return sum(math.prod(part.shape) * np.dtype(part.dtype).itemsize for part in parts.values())
 
 
 class _Recorder:
@@ -212,6 +217,7 @@ class _Recorder:
         config: DockingConfig,
         request: Request,
         sensors: "Sequence[Sensor]",
+        parts: dict[str, Any],
         spill: Path,
         announce: Callable[..., None],
         progress: Callable[..., None],
@@ -223,6 +229,8 @@ class _Recorder:
         likely = math.ceil(1.15 * request.transitions / self.longest)
         batches = math.ceil(likely / request.episodes_per_batch)
         self.batch = min(request.episodes_per_batch, 8 * math.ceil(likely / batches / 8))
+        # Decisions a chunk: the usual number, or what pixels leave room for.
+        self.chunk = max(8, min(360, _CHUNK_BYTES // max(1, self.batch * _frame_bytes(parts))))
         self._env = None
 
     def record(self, split: str, writer: SplitWriter, flights: Iterator[Flight], target: int, least: int) -> None:
@@ -266,6 +274,7 @@ class _Recorder:
             keys,
             np.array([flight.port for flight in batch]),
             which=np.array([names.index(flight.policy) for flight in batch]),
+            chunk=self.chunk,
             progress=flown,
         )
         return episodes(chunks, spill=self.spill)

@@ -128,6 +128,7 @@ class DockingEnv:
         if dynamics is not None:
             require_dynamics(dynamics)
         self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
+        self.given_sensors = tuple(sensors)
         self.sensors = require_sensors([RelativeNavigation(self.config.precision), *_camera(self.config), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(

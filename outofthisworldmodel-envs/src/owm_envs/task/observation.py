@@ -19,8 +19,12 @@ Observation = Mapping[str, Shaped[Array, "..."]] | Float[Array, "... O"]
 
 
 def part(observation: Observation, name: str) -> Array:
-    """One part of an observation. Raises KeyError if it has none of that name."""
-    return observation[name] if isinstance(observation, Mapping) else {STATE: observation}[name]
+    """One part of an observation. Raises KeyError if it has none of that name; TypeError for pixels alone."""
+    if isinstance(observation, Mapping):
+        return observation[name]
+    if getattr(observation, "dtype", None) == np.uint8:
+        raise TypeError("the observation is of pixels alone: observation='state+pixels' has the state part beside them")
+    return {STATE: observation}[name]
 
 
 @dataclass(frozen=True)

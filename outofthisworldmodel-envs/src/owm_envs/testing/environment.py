@@ -344,7 +344,7 @@ def _adapter(subject: Any, env: DockingEnv) -> gymnasium.Env:
         return subject.unwrapped
     from owm_envs.adapters.gymnasium import DockingGymEnv
 
-    return DockingGymEnv(env.config, dynamics=env.dynamics, sensors=env.sensors[1:])
+    return DockingGymEnv(env.config, dynamics=env.dynamics, sensors=env.given_sensors)
 
 
 def _check_gymnasium(adapter: gymnasium.Env) -> None:
