@@ -64,7 +64,7 @@ def test_chaser_is_drawn_where_it_is():
         middle(draw(state_at(start[0] + shift), start), still)
         for shift in ((0.0, 0.0, 0.0), (0.0, 0.0, 15.0), (-30.0, 0.0, 0.0))
     )
-    assert up[1] < near[1] - 10 and abs(up[0] - near[0]) < 4
+    assert up[1] < near[1] - 10 and abs(up[0] - near[0]) < 6
     assert left[0] < near[0] - 10
 
 
@@ -81,7 +81,8 @@ def test_path_behind_the_hull_is_faint(still):
     across = np.linspace((-57.0, 6.0, 20.0), (-27.0, 6.0, 20.0), 60)
     towards = np.array([-0.46, -0.72, 0.46]) / np.linalg.norm([-0.46, -0.72, 0.46])
     before, behind = (draw(path=across + side * towards)[:, :MAIN] for side in (15.0, -15.0))
-    assert like(before, COLOURS[0], 40).sum() > 10 > like(behind, COLOURS[0], 40).sum()
+    bright, faint = (like(image, COLOURS[0], 40).sum() for image in (before, behind))
+    assert bright > 10 and bright > 3 * faint
     assert changed(behind, still[:, :MAIN]).sum() > 10
 
 
@@ -143,12 +144,12 @@ def test_lines_are_cut_at_the_camera_and_hidden_by_depth():
 
     page = sheet()
     overlay.lines(page, np.array([[[-2.0, -5.0, 0.5], [2.0, 5.0, 0.5]]]), (0, 0, 255))
-    assert page.image[..., 2].max() > 200 and page.image[:, :20].sum() == 0  # it comes into sight right of the middle
+    assert page.image[..., 2].max() > 150 and page.image[:, :20].sum() == 0  # it comes into sight right of the middle
     page = sheet()
     overlay.lines(
         page, np.array([[[-6.0, 8.0, 0.0], [-6.0, 8.0, 6.0]], [[6.0, 12.0, 0.0], [6.0, 12.0, 9.0]]]), (0, 0, 255)
     )
-    assert page.image[:, :20].max() > 200 and 20 < page.image[:, 20:].max() < 100
+    assert page.image[:, :20].max() > 150 and 20 < page.image[:, 20:].max() < 100
     page = sheet()
     overlay.lines(page, np.array([[[-6.0, -8.0, 0.0], [-6.0, -1.0, 6.0]], [[np.nan, 1, 1], [0, 5, 0]]]), (0, 0, 255))
     assert page.image.sum() == 0

@@ -166,7 +166,7 @@ def standing(distance: Array, start: Vector, way: Vector, half: Vector, quadric:
         error, slope = jnp.where(narrower, other, error), jnp.where(narrower, jnp.sign(near[axis]) * way[axis], slope)
     grazing = jnp.abs(slope) < 1e-3  # a step would be long, and wrong
     step = jnp.where(grazing, 0.0, error / jnp.where(grazing, 1.0, slope))
-    return Standing(distance - step, plus(near, -step, way), face)
+    return Standing(jnp.maximum(distance - step, 0.0), plus(near, -step, way), face)
 
 
 def normal_at(face: Int[Array, "..."], place: Vector, quadric: Quadric) -> Vector:
