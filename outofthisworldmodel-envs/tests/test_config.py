@@ -145,6 +145,8 @@ def _with(path, value):
 
 
 def _changed(path, value):
+    if isinstance(value, bool):
+        return not value
     if path == ("hull",) or path == ("obstacles",):
         return [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]
     if path == ("ports",):
