@@ -1,6 +1,5 @@
-"""Draw the pictures of the pages: `python docs/images/make.py [runs/demo]`; the approach needs a finished demo."""
+"""Draw the pages' station and frames: `python docs/images/make.py`. The rest: `outofthisworldmodel-envs/tools/gallery.py`."""
 
-import sys
 from pathlib import Path
 
 import cv2
@@ -10,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
 from astrojax.attitude import quat_rotate
-from owm.scores.flights import Flights
-from owm_envs.camera.schematic import Drawing, Vehicle, draw_station, schematics
+from owm_envs.camera.schematic import draw_station
 from owm_envs.camera.views import camera
 from owm_envs.station import CHASER, PORTS, bounds, goal_poses, hull_boxes, port_index
 
@@ -20,25 +18,6 @@ RADIUS = 2.25
 """m, of the chaser's bounding sphere."""
 INK, STATION, CHASER_INK, BODY, MUTED = "#1c2430", "#c9d1dc", "#e8b04a", "#b4561f", "#5b6778"
 AXES = "#1f6fd1"
-
-
-def approach(demo: Path) -> None:
-    """A flight of the demo's world model."""
-    flights = Flights.load(demo / "flights" / "world_model.npz")
-    port = port_index("poisk_zenith")
-    flight = int(np.flatnonzero(np.asarray(flights.port) == port)[0])
-    path = flights.trajectory[flight]
-    path = path[np.isfinite(path[:, 0])]
-    shown = len(path) - 60
-    rows = [
-        ("flown by", "world model"),
-        ("time", f"{shown * 0.25:.1f} s"),
-        ("to goal", f"{np.linalg.norm(path[shown, :3] - goal_poses()[port, :3]):.2f} m"),
-        ("speed", f"{np.linalg.norm(path[shown, 3:6]):.2f} m/s"),
-    ]
-    vehicle = Vehicle(path[shown], path[: shown + 1, :3], port, np.zeros(3))
-    (picture,) = schematics([Drawing([vehicle], PORTS[port].name, rows)], size=(1280, 720))
-    cv2.imwrite(str(HERE / "approach.png"), picture[..., ::-1])
 
 
 def station() -> None:
@@ -132,6 +111,3 @@ def _measure(axes: Axes, start: float, end: float, height: float, text: str) -> 
 if __name__ == "__main__":
     frames()
     station()
-    demo = Path(sys.argv[1] if len(sys.argv) > 1 else "runs/demo")
-    if (demo / "flights").is_dir():
-        approach(demo)

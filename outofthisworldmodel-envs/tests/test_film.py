@@ -18,7 +18,7 @@ CONFIG = {"fidelity": "iss", "horizon": 0.25, "ports": ["zvezda_aft"], "observat
 def recorded(tmp_path_factory):
     """Two splits of an episode or more each, with pixels every second decision."""
     folder = tmp_path_factory.mktemp("film") / "set"
-    camera = {"width": 16, "height": 16, "every": 2, "lamp": 20.0, "sky": False}
+    camera = {"width": 16, "height": 16, "every": 2, "lamp": 20.0}
     request = Request(transitions=5, val_transitions=5, seed=1, episodes_per_batch=1)
     generate(folder, load_config(CONFIG, camera=camera), request)
     return folder

@@ -135,6 +135,7 @@ def in_strips(function: Callable[[Any], Any], arrays: Any, busy: Bool[Array, "T"
     """
     leaves, tree = jax.tree.flatten(arrays)
     tiles = busy.shape[0]
+    size = min(size, tiles)
     strips = -(-tiles // size)
     own = [leaf.shape[0] == tiles for leaf in leaves]
 

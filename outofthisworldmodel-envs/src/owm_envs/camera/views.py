@@ -69,7 +69,7 @@ def camera(
         fields = {"mount": "chaser", "position": place, "attitude": aimed(place, (0.0, 0.0, 3.0), NOSE), **perspective}
         fields["field"] = np.radians(60.0)
     elif name == "station_isometric":
-        place = tuple((155.0 * _ISOMETRIC / np.linalg.norm(_ISOMETRIC)).tolist())
+        place = tuple((170.0 * _ISOMETRIC / np.linalg.norm(_ISOMETRIC)).tolist())
         fields = {"mount": "station", "position": place, "attitude": aimed(place, (0.0, 0.0, 0.0)), **perspective}
         fields["field"] = np.radians(45.0)
     elif name == "station_top":
