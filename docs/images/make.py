@@ -1,4 +1,4 @@
-"""Draw the pages' station and frames: `python docs/images/make.py`. The rest: `outofthisworldmodel-envs/tools/gallery.py`."""
+"""Draw the pages' station and frames: `python docs/images/make.py`. `outofthisworldmodel-envs/tools/gallery.py` does the rest."""
 
 from pathlib import Path
 
