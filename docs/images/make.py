@@ -1,4 +1,4 @@
-"""Draw the pages' station and frames: `python docs/images/make.py`. `outofthisworldmodel-envs/tools/gallery.py` does the rest."""
+"""Draw the pages' station and frames: `python docs/images/make.py`. `tools/gallery.py` of owm_envs draws the others."""
 
 from pathlib import Path
 
