@@ -164,6 +164,7 @@ CASES = [
     case("mean_motion", elements.mean_motion, (A(6.795e6), GM)),
     case("solve_kepler", elements.solve_kepler, (A(2.0), A(0.01)), (A(-0.3), A(0.8)), rtol32=1e-5),
     case("propagate_keplerian", elements.propagate_keplerian, (ELEMENTS, A(60.0), GM), (ELEMENTS, A(-6000.0), GM)),
+    case("secular_rates_j2", elements.secular_rates_j2, (ELEMENTS, GM)),
     case(
         "keplerian_to_cartesian",
         elements.keplerian_to_cartesian,

@@ -23,7 +23,7 @@ ACTIONS = np.random.default_rng(0).uniform(-300, 300, (10, SLOTS, 6)).astype(np.
 @pytest.fixture
 def in_two(monkeypatch, quick):
     """Cuts every batch in two; what is compiled runs a few times only."""
-    monkeypatch.setattr(batch, "piece_count", lambda num_envs: min(num_envs, 2))
+    monkeypatch.setattr(batch, "piece_count", lambda num_envs, least: min(num_envs, 2))
     monkeypatch.setattr(batch, "compiler_options", lambda **_: quick.keywords["compiler_options"])
 
 

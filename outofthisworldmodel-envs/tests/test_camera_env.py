@@ -152,7 +152,9 @@ def test_a_frame_is_the_camera_s_picture_of_the_truth(flight):
         env = make().unwrapped.docking_env
         params = env.default_params()
         own, info = params.sensors["pixels"], infos[EVERY]
-        drawn = {k.removeprefix("drawn_pixels_"): v for k, v in info.items() if k.startswith("drawn_pixels_")}
+        drawn = {
+            k.removeprefix("drawn_pixels_"): jnp.asarray(v) for k, v in info.items() if k.startswith("drawn_pixels_")
+        }
         look = env.sensors[1].draw(own, jax.random.key(0))._replace(**drawn)
         scene, lens = looking(own.scene, own.camera, look)
         start = jnp.asarray(infos[0]["epoch"])

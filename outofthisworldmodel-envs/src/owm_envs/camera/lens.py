@@ -54,8 +54,8 @@ def placed(camera: Camera, view: View) -> Pose:
     """Give the camera's pose in the station frame, float32, when the chaser is at `view`."""
     position, attitude = (jnp.asarray(part, jnp.float32) for part in (camera.position, camera.attitude))
     if camera.mount == "chaser":
-        body = view.attitude.astype(jnp.float32)
-        position = view.position.astype(jnp.float32) + quat_rotate(body, position)
+        place, body = (jnp.asarray(part, jnp.float32) for part in (view.position, view.attitude))
+        position = place + quat_rotate(body, position)
         attitude = quat_multiply(body, attitude)
     return Pose(position, quat_to_rotation(attitude) * jnp.asarray([[-1.0, 1.0, 1.0]], jnp.float32))
 

@@ -64,7 +64,9 @@ def curve(sheet: Sheet, points: Float[np.ndarray, "T 3"], colour: Colour, width:
     lines(sheet, np.stack([points[:-1], points[1:]], axis=1), colour, width, **how)
 
 
-def arrow(sheet: Sheet, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], colour: Colour, width=1) -> None:
+def arrow(
+    sheet: Sheet, start: Float[np.ndarray, "3"], end: Float[np.ndarray, "3"], colour: Colour, width: int = 1
+) -> None:
     """Draw an arrow between two points [m], station frame."""
     across = np.cross(end - start, sheet.pose.axes[:, 2])
     size = np.linalg.norm(across)

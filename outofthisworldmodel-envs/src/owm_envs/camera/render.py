@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from owm_envs.camera.lens import Camera, Grid, Pose, Rays, arranged, grid, placed, rays
+from owm_envs.camera.lens import Camera, Grid, Pose, Rays, arranged, grid, placed, project, rays
 from owm_envs.camera.scene import Scene, assembled
 from owm_envs.camera.shade import Lights, developed, encoded, lights, radiance
 from owm_envs.camera.sky import sky_radiance, splat_stars
-from owm_envs.camera.solids import Quadric, Solids, Standing, normal_at, standing
+from owm_envs.camera.solids import EXACT, Quadric, Solids, Standing, normal_at, standing
 from owm_envs.camera.surface import look
 from owm_envs.camera.trace import (
     LANES,
@@ -89,7 +89,6 @@ def render(scene: Scene, view: View, camera: Camera) -> dict[str, Shaped[Array, 
     tiles = busiest_first(words)
     shadows = _shadows(parts, scene.heavens.sun)
     shining = lights(scene.light, scene.heavens)
-
     stars = _stars(scene, pose, cut, camera) if "rgb" in camera.outputs else ()
 
     def strip(rows):
@@ -136,10 +135,11 @@ def _pixels(name: str, values: Any, camera: Camera) -> Shaped[Array, "H W ..."]:
 def _nearest_first(parts: Solids, pose: Pose, camera: Camera) -> tuple[Solids, Float[Array, "N"], Int[Array, "N"]]:
     """The parts in order of the least distance at which a ray may meet them; that distance; the order."""
     if camera.projection == "orthographic":
-        closest = bounds(parts, pose.axes[:, 2:].T).least[0] - pose.position @ pose.axes[:, 2]
+        closest = bounds(parts, pose.axes[:, 2:].T).least[0] - (pose.position * pose.axes[:, 2]).sum()
     else:
-        inside = jnp.abs(jnp.einsum("ni,nij->nj", pose.position[None, :] - parts.centre, parts.rotation))
-        outside = jnp.maximum(inside - parts.half, 0.0)
+        offset = pose.position[None, :] - parts.centre
+        place = jnp.einsum("ni,nij->nj", offset, parts.rotation, precision=EXACT)
+        outside = jnp.maximum(jnp.abs(place) - parts.half, 0.0)
         closest = jnp.sqrt((outside * outside).sum(axis=1))
     order = jnp.argsort(closest)
     return jax.tree.map(lambda a: a[order], parts), closest[order], order
@@ -226,15 +226,11 @@ def _stars(scene: Scene, pose: Pose, cut: Grid, camera: Camera) -> Sequence[Arra
         return ()
     rows, columns = cut.down.shape[0] - 1, cut.across.shape[0] - 1
 
-    def project(towards):
-        right, up, forward = (towards @ pose.axes).T
-        ahead = forward > 1e-3
-        depth = cut.step * jnp.where(ahead, forward, 1.0)
-        corner = cut.across[0] / cut.step, cut.down[0] / cut.step
-        place = jnp.stack([right / depth - corner[0], corner[1] - up / depth], axis=-1)
-        return place - 0.5, ahead
+    def place(towards):
+        pixels, ahead = project(camera, pose._replace(position=jnp.zeros_like(pose.position)), towards)
+        return pixels * camera.samples - 0.5, ahead > 1e-3
 
-    light = splat_stars(scene.sky, scene.heavens, project, (rows * SIDE, columns * SIDE)) * camera.samples**2
+    light = splat_stars(scene.sky, scene.heavens, place, (rows * SIDE, columns * SIDE)) * camera.samples**2
     tiled = light.reshape(rows, SIDE, columns, SIDE, 3).swapaxes(1, 2).reshape(rows * columns, LANES, 3)
     return tuple(tiled[..., channel] for channel in range(3))
 

@@ -78,7 +78,7 @@ def noon() -> Heavens:
 
 def assembled(scene: Scene, view: View) -> Solids:
     """Give all parts in the station frame: the station's, the chaser's, each visitor's, float32."""
-    position, attitude = (part.astype(jnp.float32) for part in (view.position, view.attitude))
+    position, attitude = (jnp.asarray(part, jnp.float32) for part in (view.position, view.attitude))
     vehicles = [moved(scene.chaser, position, quat_to_rotation(attitude), jnp.ones((), bool))]
     for number in range(scene.visitors.present.shape[0]):
         turn = quat_to_rotation(scene.visitors.attitude[number])

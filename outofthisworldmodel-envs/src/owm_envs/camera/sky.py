@@ -11,7 +11,6 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import NamedTuple
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -94,8 +93,10 @@ def load_sky(
 
 @functools.cache
 def _load(earth: str | None, clouds: str | None, night: str | None) -> Sky:
+    import cv2
+
     places = _node_places()
-    ground = _read(earth, "earth.jpg", cv2.IMREAD_COLOR)[..., ::-1]
+    ground = _read(earth, "earth.jpg", colours=True)[..., ::-1]
     surface = [*np.moveaxis(_spread(ground, places), -1, 0), _spread(_read(None, "water.jpg"), places)]
     cover = _spread(_read(clouds, "clouds.jpg"), places)
     slopes = np.gradient(cv2.GaussianBlur(cover, (0, 0), 1.0).astype(np.float32))
@@ -113,12 +114,15 @@ def _load(earth: str | None, clouds: str | None, night: str | None) -> Sky:
     )
 
 
-def _read(path: str | None, packaged: str, mode: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
+def _read(path: str | None, packaged: str, colours: bool = False) -> np.ndarray:
+    import cv2
+
     if path is None:
         data = (files(__package__) / "assets" / packaged).read_bytes()
     else:
         with open(path, "rb") as file:
             data = file.read()
+    mode = cv2.IMREAD_COLOR if colours else cv2.IMREAD_GRAYSCALE
     image = cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
     if image is None:
         raise ValueError(f"map {path!r} is no image that can be read (JPEG or PNG)")
@@ -140,6 +144,8 @@ def _node_places() -> tuple[np.ndarray, np.ndarray]:
 
 def _spread(image: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """An equirectangular image at the nodes."""
+    import cv2
+
     height, width = image.shape[:2]
     longitude, latitude = (place.astype(np.float32) for place in places)
     column, row = (longitude + 0.5) * width - 0.5, np.clip((0.25 - latitude) * 2 * height - 0.5, 0, height - 1)
@@ -148,6 +154,8 @@ def _spread(image: np.ndarray, places: tuple[np.ndarray, np.ndarray]) -> np.ndar
 
 def _pyramid(level: np.ndarray) -> np.ndarray:
     """Levels of (n + 1, n + 1, 4) bytes, each half the last, packed end to end."""
+    import cv2
+
     packed = []
     for _ in range(LEVELS):
         packed.append(np.ascontiguousarray(level).view(np.uint32).ravel())

@@ -18,6 +18,8 @@ from owm_envs.station.parts import Part
 
 Quadric = tuple[Array, Array, Array, Array]
 FAR = 1e30
+EXACT = jax.lax.Precision.HIGHEST
+"""Accelerators may shorten the numbers of a product to ten bits, which is centimetres here."""
 _FLAT = 1e-9
 
 
@@ -77,8 +79,8 @@ def moved(solids: Solids, position: Float[Array, "3"], turn: Float[Array, "3 3"]
         present: whether it is there at all.
     """
     return solids._replace(
-        centre=solids.centre @ turn.T + position[None, :],
-        rotation=jnp.einsum("ij,njk->nik", turn, solids.rotation),
+        centre=jnp.matmul(solids.centre, turn.T, precision=EXACT) + position[None, :],
+        rotation=jnp.einsum("ij,njk->nik", turn, solids.rotation, precision=EXACT),
         present=solids.present & present,
     )
 

@@ -10,6 +10,7 @@ of a screen); Garanzha and Loop, Fast Ray Sorting and Breadth-First Packet Trave
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from owm_envs.camera.solids import FAR, Solids, crossing
+from owm_envs.camera.solids import EXACT, FAR, Solids, crossing
 from owm_envs.camera.vectors import Vector, onto
 
 SIDE = 8
@@ -40,9 +41,10 @@ class Bounds(NamedTuple):
 
 def bounds(solids: Solids, directions: Float[Array, "D 3"]) -> Bounds:
     """Give how far each solid's box reaches along directions (of any length), from the frame's origin."""
-    middle = directions @ solids.centre.T
+    product = partial(jnp.matmul, precision=EXACT)
+    middle = product(directions, solids.centre.T)
     axes = solids.rotation * solids.half[:, None, :]
-    reach = sum(jnp.abs(directions @ axes[:, :, j].T) for j in range(3))
+    reach = sum(jnp.abs(product(directions, axes[:, :, j].T)) for j in range(3))
     return Bounds(middle - reach, middle + reach)
 
 

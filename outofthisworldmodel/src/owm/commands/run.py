@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -30,12 +31,13 @@ from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
 from owm_envs.adapters.gymnasium import DockingGymEnv
-from owm_envs.camera.lens import Camera
 from owm_envs.claims import Claim, digest
 from owm_envs.config import DockingConfig
 from owm_envs.files import output_folder, slug
-from owm_envs.film import film_camera, frames, save_film
 from owm_envs.station import PORT_NAMES
+
+if TYPE_CHECKING:
+    from owm_envs.camera.lens import Camera
 
 _FILM_SIZE, _FILM_FPS = 512, 20.0
 
@@ -133,7 +135,10 @@ def fly(
         FolderTaken: `out` holds other flights or something else.
     """
     kind_of(policy)
-    lens = None if video is None else film_camera(video, camera, _FILM_SIZE, port)
+    if video is not None:
+        from owm_envs.film import film_camera
+
+        lens = film_camera(video, camera, _FILM_SIZE, port)
     config = evaluation_config(shell, noise=noise, fidelity=fidelity)
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
@@ -161,8 +166,10 @@ def fly(
     return flown
 
 
-def _film(flown: Flights, config: DockingConfig, lens: Camera, video: Path) -> None:
+def _film(flown: Flights, config: DockingConfig, lens: "Camera", video: Path) -> None:
     """Film the first flight, ten times as fast as it was."""
+    from owm_envs.film import frames, save_film
+
     views = flown.trajectory[0]
     views = views[np.isfinite(views).all(axis=1)]
     # A flight's epoch is that of its seed and port.
