@@ -92,7 +92,7 @@ def test_a_cut_batch_pickles(in_two, monkeypatch):
     kept = pickle.dumps(env)
     again = pickle.loads(kept)
     with monkeypatch.context() as elsewhere:
-        elsewhere.setattr(batch, "piece_count", lambda num_envs: 1)  # another machine
+        elsewhere.setattr(batch, "piece_count", lambda num_envs, least: 1)  # another machine
         whole = pickle.loads(kept)
     states = [jax.tree.leaves(e._program.to_host(e._state)) for e in (env, again, whole)]
     for leaves in zip(*states, strict=True):
