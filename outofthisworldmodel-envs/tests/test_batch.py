@@ -25,6 +25,9 @@ def in_two(monkeypatch, quick):
     """Cuts every batch in two; what is compiled runs a few times only."""
     monkeypatch.setattr(batch, "piece_count", lambda num_envs, least: min(num_envs, 2))
     monkeypatch.setattr(batch, "compiler_options", lambda **_: quick.keywords["compiler_options"])
+    batch._programs.cache_clear()
+    yield
+    batch._programs.cache_clear()  # tests of other files must not get these
 
 
 def test_slots_of_a_cut_batch_equal_scalar_environments(in_two):

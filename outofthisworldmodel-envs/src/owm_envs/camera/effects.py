@@ -12,6 +12,7 @@ from astrojax.attitude import quat_from_rotation_vector, quat_multiply
 from owm_envs.camera.lens import Camera
 from owm_envs.camera.scene import Scene
 from owm_envs.camera.shade import encoded
+from owm_envs.camera.surface import linear
 from owm_envs.config.camera import EffectsConfig
 from owm_envs.config.parts import CameraRanges
 from owm_envs.task.reset import isotropic, named_key
@@ -131,7 +132,7 @@ def _displaced(camera: Camera, offset, tilt, field_scale, exposure) -> Camera:
 
 def spoiled(image: UInt8[Array, "H W C"], effects: Effects, *, key: Key[Array, ""]) -> UInt8[Array, "H W C"]:
     """Blur a picture and add noise, in the light of the display; then perhaps block it."""
-    light = _decoded(image)
+    light = linear(image.astype(jnp.float32) / 255.0)
     light = _blurred(_blurred(light, effects.blur, 0), effects.blur, 1)
     spread = jnp.sqrt(effects.shot_noise**2 * light + effects.read_noise**2)
     light = light + spread * jax.random.normal(named_key(key, "pixels"), light.shape, jnp.float32)
@@ -141,12 +142,6 @@ def spoiled(image: UInt8[Array, "H W C"], effects: Effects, *, key: Key[Array, "
 def happens(probability: Float[Array, ""], name: str, *, key: Key[Array, ""]) -> Shaped[Array, ""]:
     """Draw whether something of this probability happens."""
     return jax.random.uniform(named_key(key, name), (), jnp.float32) < probability
-
-
-def _decoded(image: UInt8[Array, "..."]) -> Float[Array, "..."]:
-    """Display light, 0 to 1, of sRGB: the inverse of `encoded`."""
-    value = image.astype(jnp.float32) / 255.0
-    return jnp.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
 
 
 def _blurred(light: Float[Array, "H W C"], width: Float[Array, ""], axis: int) -> Float[Array, "H W C"]:

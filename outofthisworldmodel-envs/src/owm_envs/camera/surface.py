@@ -105,9 +105,9 @@ class Look(NamedTuple):
     """To be added to the unit normal. It has no frame: nobody can tell which way a crease leans."""
 
 
-def linear(srgb: np.ndarray) -> np.ndarray:
+def linear(srgb: Float[Array, "..."] | Float[np.ndarray, "..."]) -> Float[Array, "..."]:
     """Take colours from sRGB, 0 to 1, to linear light. Source: IEC 61966-2-1."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return jnp.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def materials() -> Materials:

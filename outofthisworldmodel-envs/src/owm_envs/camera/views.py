@@ -19,7 +19,6 @@ FPV_PLACE, FPV_FIELD_DEG = (0.0, 1.75, 1.55), 82.0
 """The paper's camera: place in the chaser's body [m] and vertical field of view."""
 
 _ISOMETRIC = np.array([-0.50, -0.70, 0.42])
-_FROM_ZENITH = (0.0, 0.0, 1.0)
 
 
 def aimed(position: Sequence[float], target: Sequence[float], up: Sequence[float] = ZENITH) -> Float[np.ndarray, "4"]:
