@@ -303,6 +303,8 @@ def test_a_camera_that_cannot_be_is_refused():
         camera("chaser_fvp")
     with pytest.raises(ValueError, match="at least 1 pixel"):
         camera(height=0)
+    with pytest.raises(ValueError, match="below pi rad"):
+        camera(field=3.2)
     with pytest.raises(ValueError, match="did you mean 'depth'"):
         camera(outputs=("depht",))
     with pytest.raises(ValueError, match="cannot look at"):

@@ -1,7 +1,7 @@
 """The named cameras, and how to aim one's own."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,10 +15,40 @@ from owm_envs.station.ports import PORTS, port_index
 from owm_envs.words import unknown
 
 ZENITH, NOSE, UP = (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
-FPV_PLACE, FPV_FIELD_DEG = (0.0, 1.75, 1.55), 82.0
-"""The paper's camera: place in the chaser's body [m] and vertical field of view."""
+"""Up in the station frame; the nose and up in the chaser's."""
 
-_ISOMETRIC = np.array([-0.50, -0.70, 0.42])
+
+class _Stand(NamedTuple):
+    """Where a named camera stands, in the frame of its mount [m], and what it looks at."""
+
+    mount: str
+    place: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float]
+    field: float
+    """deg, or m if orthographic."""
+    projection: str = "perspective"
+
+
+_STANDS = {
+    # The paper's: along the nose.
+    "chaser_fpv": _Stand("chaser", (0.0, 1.75, 1.55), (0.0, 1.75, 2.55), UP, 82.0),
+    "chaser_isometric": _Stand("chaser", (7.0, 7.0, -13.0), (0.0, 0.0, 2.0), UP, 60.0),
+    "chaser_top": _Stand("chaser", (0.0, 22.0, 3.0), (0.0, 0.0, 3.0), NOSE, 60.0),
+    "station_isometric": _Stand("station", (-88.79, -124.31, 74.59), (0.0, 0.0, 0.0), ZENITH, 45.0),
+    "station_top": _Stand("station", (0.0, 0.0, 120.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 120.0, "orthographic"),
+}
+
+
+def _stand(name: str, port: str) -> _Stand:
+    if name == "station_fpv":  # just off the port, outwards
+        chosen = PORTS[port_index(port)]
+        place, target = (np.add(chosen.interface, away * np.array(chosen.normal)) for away in (0.25, 1.25))
+        up = (0.0, -1.0, 0.0) if abs(chosen.normal[2]) > 0.9 else ZENITH
+        return _Stand("station", tuple(place.tolist()), tuple(target.tolist()), up, 82.0)
+    if name not in _STANDS:
+        raise ValueError(unknown("camera", name, CAMERA_NAMES))
+    return _STANDS[name]
 
 
 def aimed(position: Sequence[float], target: Sequence[float], up: Sequence[float] = ZENITH) -> Float[np.ndarray, "4"]:
@@ -56,45 +86,24 @@ def camera(
     Raises:
         ValueError: an unknown name, port or output, a size of less than one pixel, or a field of view out of range.
     """
-    perspective = {"projection": "perspective", "field": np.radians(FPV_FIELD_DEG)}
-    if name == "chaser_fpv":
-        fields = {"mount": "chaser", "position": FPV_PLACE, "attitude": (1.0, 0.0, 0.0, 0.0), **perspective}
-    elif name == "chaser_isometric":
-        place = (7.0, 7.0, -13.0)
-        fields = {"mount": "chaser", "position": place, "attitude": aimed(place, (0.0, 0.0, 2.0), UP), **perspective}
-        fields["field"] = np.radians(60.0)
-    elif name == "chaser_top":
-        place = (0.0, 22.0, 3.0)
-        fields = {"mount": "chaser", "position": place, "attitude": aimed(place, (0.0, 0.0, 3.0), NOSE), **perspective}
-        fields["field"] = np.radians(60.0)
-    elif name == "station_isometric":
-        place = tuple((170.0 * _ISOMETRIC / np.linalg.norm(_ISOMETRIC)).tolist())
-        fields = {"mount": "station", "position": place, "attitude": aimed(place, (0.0, 0.0, 0.0)), **perspective}
-        fields["field"] = np.radians(45.0)
-    elif name == "station_top":
-        place = (0.0, 0.0, 120.0)
-        attitude = aimed(place, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-        fields = {
-            "mount": "station",
-            "position": place,
-            "attitude": attitude,
-            "projection": "orthographic",
-            "field": 120.0,
-        }
-    elif name == "station_fpv":
-        chosen = PORTS[port_index(port)]
-        place = np.array(chosen.interface) + 0.25 * np.array(chosen.normal)
-        vertical = abs(chosen.normal[2]) > 0.9
-        attitude = aimed(place, place + np.array(chosen.normal), (0.0, -1.0, 0.0) if vertical else ZENITH)
-        fields = {"mount": "station", "position": place, "attitude": attitude, **perspective}
-    else:
-        raise ValueError(unknown("camera", name, CAMERA_NAMES))
-    fields = {"exposure": 0.0, **fields, **changes}
-    for key in ("position", "attitude", "field", "exposure"):
-        fields[key] = jnp.asarray(fields[key], jnp.float32)
+    stand = _stand(name, port)
+    parallel = changes.get("projection", stand.projection) == "orthographic"
+    fields = {
+        "mount": stand.mount,
+        "position": stand.place,
+        "attitude": aimed(stand.place, stand.target, stand.up),
+        "projection": stand.projection,
+        "field": stand.field if stand.projection == "orthographic" else np.radians(stand.field),
+        "exposure": 0.0,
+        **changes,
+    }
     if height < 1 or width < 1:
         raise ValueError(f"height and width must be at least 1 pixel, got {height} and {width}")
+    if not 0.0 < float(fields["field"]) < (np.inf if parallel else np.pi):
+        raise ValueError(f"field must be positive, and below pi rad in perspective, got {float(fields['field'])}")
     for output in fields.get("outputs", ()):
         if output not in OUTPUTS:
             raise ValueError(unknown("output", output, OUTPUTS))
+    for key in ("position", "attitude", "field", "exposure"):
+        fields[key] = jnp.asarray(fields[key], jnp.float32)
     return Camera(height=height, width=width, **fields)

@@ -83,11 +83,14 @@ def episode_params(params: Params, drawn: Drawn | None) -> Params:
 
 def drawable(config: DockingConfig) -> list[str]:
     """Those of `VARIATIONS` for which a range is configured."""
-    given = dict(config.randomization)
-    given |= {name.removesuffix("_deg"): value for name, value in given.pop("camera")}
-    default = dict(RandomizationConfig())
-    default |= {name.removesuffix("_deg"): value for name, value in default.pop("camera")}
-    moved = {name.removesuffix("_deg") for name, value in given.items() if value != default[name]}
+
+    def flat(ranges: RandomizationConfig) -> dict[str, Any]:
+        values = dict(ranges)
+        values |= dict(values.pop("camera"))
+        return {name.removesuffix("_deg"): value for name, value in values.items()}
+
+    given, default = flat(config.randomization), flat(RandomizationConfig())
+    moved = {name for name in given if given[name] != default[name]}
     moved = {"chief_elements" if name.startswith("chief_") else name for name in moved}
     return [group for group, fields in VARIATIONS.items() if moved & set(fields)]
 
