@@ -18,6 +18,7 @@ import multiprocessing
 import operator
 import os
 import resource
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -112,11 +113,12 @@ def embree_frames(side: int, seconds: float) -> float:
     from embreex import rtcore_scene
     from embreex.mesh_construction import TriangleMesh
 
-    from owm_envs.station.mesh import scene as mesh_scene
+    from owm_envs.station.mesh import export, load_triangles
 
-    mesh = mesh_scene(PARTS).to_geometry()
     world = rtcore_scene.EmbreeScene()
-    TriangleMesh(world, np.asarray(mesh.triangles, np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        export(f"{folder}/station.glb", PARTS)
+        TriangleMesh(world, load_triangles(f"{folder}/station.glb").astype(np.float32))
     eye = camera("chaser_fpv", height=side, width=side)
     cut = grid(eye)
     origins, ways = [], []
@@ -190,20 +192,20 @@ def rollout_share(slots: int, console: Console) -> dict[str, float]:
     return {**figures, "pixels_share": share}
 
 
-def soak(frames: int, scene: Scene, console: Console) -> dict[str, float]:
-    """Memory at the peak after the first frames of 512x512 and after all."""
-    draw = ours(scene, 512, 1)
+def soak(frames: int, side: int, batch: int, scene: Scene, console: Console) -> dict[str, float]:
+    """Memory at the peak after the first frames and after all."""
+    draw = ours(scene, side, batch)
     for _ in range(20):
         draw()
     first = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     start = time.perf_counter()
-    for number in range(frames):
+    calls = -(-frames // batch)
+    for number in range(1, calls + 1):
         draw()
-        if (number + 1) % max(frames // 5, 1) == 0:
+        if number % max(calls // 5, 1) == 0 or number == calls:
             now = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            console.print(
-                f"{number + 1:7d} frames of 512x512: {now:7.0f} MiB at the peak, {first:.0f} after the first 20"
-            )
+            told = f"{number * batch:7d} frames of {side}x{side}: {now:7.0f} MiB at the peak"
+            console.print(f"{told}, {first:.0f} after the first {20 * batch}")
     return {
         "frames": frames,
         "first_mib": first,
@@ -219,7 +221,7 @@ def main() -> None:
     parser.add_argument("--batches", type=int, nargs="+", default=[64, 16, 1], help="one for each side")
     parser.add_argument("--parts", type=int, nargs="+", default=[], help="also with so many of the parts, 64x64")
     parser.add_argument("--seconds", type=float, default=4.0, help="a measurement")
-    parser.add_argument("--soak", type=int, default=0, metavar="FRAMES")
+    parser.add_argument("--soak", type=int, default=0, metavar="FRAMES", help="of the last size and batch, for memory")
     parser.add_argument("--rollout", type=int, default=0, metavar="SLOTS")
     parser.add_argument("--skip", nargs="*", default=[], choices=["brute", "embree"])
     options = parser.parse_args()
@@ -227,7 +229,7 @@ def main() -> None:
     full, black = default_scene(sky=load_sky()), default_scene()
     figures: dict[str, object] = {"device": jax.devices()[0].device_kind, "cores": cores}
     if options.soak:
-        figures["soak"] = soak(options.soak, full, console)
+        figures["soak"] = soak(options.soak, options.sides[-1], options.batches[-1], full, console)
     if options.rollout:
         figures["rollout"] = rollout_share(options.rollout, console)
     if not (options.soak or options.rollout):

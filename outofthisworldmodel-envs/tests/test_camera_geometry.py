@@ -1,6 +1,7 @@
 """What the camera sees is where it is: pinhole models, exact distances to the parts, what holds of any picture."""
 
 import dataclasses
+import tempfile
 from functools import lru_cache
 
 import jax
@@ -16,6 +17,7 @@ from owm_envs.camera.surface import MATERIAL_NAMES
 from owm_envs.camera.views import CAMERA_NAMES, ZENITH, aimed, camera
 from owm_envs.station import PORTS, docked_attitude, nearest_part
 from owm_envs.station.details import DETAILS
+from owm_envs.station.mesh import export, load_triangles
 from owm_envs.station.parts import PARTS
 from owm_envs.station.primitives import ball
 from owm_envs.view import View
@@ -74,7 +76,10 @@ def turn(q):
 
 
 def pixel_rays(lens):
-    """Origins and unit directions (H W, 3) of the pixels' middles, of a camera on the station, in float64."""
+    """Origins and unit directions (H W, 3) of the pixels' middles, and the optical axis, of a camera on the station.
+
+    A pinhole model of its own, in float64.
+    """
     matrix = turn(np.asarray(lens.attitude, np.float64))
     right, up, forward = -matrix[:, 0], matrix[:, 1], matrix[:, 2]
     half = 0.5 * float(lens.field)
@@ -124,6 +129,52 @@ def test_depth_and_silhouettes_are_exact(projection):
         assert not (wrong & ~edge).any()
         different, total = different + wrong.sum(), total + wrong.size
     assert different / total < 0.01
+
+
+@lru_cache(maxsize=1)
+def embree():
+    """The exported mesh of the station in a ray tracer of others."""
+    rtcore_scene = pytest.importorskip("embreex.rtcore_scene")
+    from embreex.mesh_construction import TriangleMesh
+
+    world = rtcore_scene.EmbreeScene()
+    with tempfile.TemporaryDirectory() as folder:
+        export(f"{folder}/station.glb", PARTS)
+        TriangleMesh(world, load_triangles(f"{folder}/station.glb").astype(np.float32))
+    return world
+
+
+def mesh_depth(lens):
+    """Depth (H, W) [m] of the exported mesh."""
+    origin, way, forward = pixel_rays(lens)
+    origin, way = (np.ascontiguousarray(a, np.float32) for a in (origin, way))
+    found = embree().run(origin, way, query="INTERSECT", output=1)
+    depth = np.where(found["geomID"] >= 0, found["tfar"].astype(np.float64) * (way @ forward), np.inf)
+    return depth.reshape(lens.height, lens.width)
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_silhouettes_and_depth_are_those_of_the_exported_mesh(projection):
+    """Where the mesh covers all or nothing of a pixel both agree; flat facets are centimetres inside round parts."""
+    rng = np.random.default_rng(8)
+    bare = scene()._replace(station=solids(PARTS, MATERIAL_NAMES))
+    all_errors = []
+    for _ in range(8):
+        lens = onlooker(rng, projection, 64)
+        if projection == "orthographic":  # no ray may start inside a part, whose far side a mesh would show
+            lens = dataclasses.replace(lens, position=lens.position - 100.0 * placed(lens, AWAY).axes[:, 2])
+        found = np.asarray(draw(bare, AWAY, lens)["depth"])
+        fine = mesh_depth(dataclasses.replace(lens, height=64 * 5, width=64 * 5)).reshape(64, 5, 64, 5)
+        near, far = fine.min(axis=(1, 3)), fine.max(axis=(1, 3))
+        covered, empty = np.isfinite(far), ~np.isfinite(near)
+        assert covered.mean() > 0.05 and empty.mean() > 0.05
+        assert np.isfinite(found[covered]).all() and not np.isfinite(found[empty]).any()
+        # Within a pixel the surface rises and falls, or a part ends: ours must lie between.
+        assert (found[covered] > near[covered] - 0.05).all() and (found[covered] < far[covered] + 0.05).all()
+        smooth = covered & (far < near + 0.5)
+        all_errors.append(np.abs(found[smooth] - fine[:, 2, :, 2][smooth]))
+    errors = np.concatenate(all_errors)
+    assert len(errors) > 1000 and np.median(errors) < 0.005 and errors.max() < 0.05
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])

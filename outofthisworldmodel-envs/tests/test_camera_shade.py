@@ -5,8 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from owm_envs.camera.render import render
+from owm_envs.camera.scene import default_scene
 from owm_envs.camera.shade import Lights, developed, encoded, radiance
-from owm_envs.camera.surface import Look
+from owm_envs.camera.solids import solids
+from owm_envs.camera.surface import MATERIAL_NAMES, Look, linear
+from owm_envs.camera.views import aimed, camera
+from owm_envs.station.primitives import box
+from owm_envs.view import View
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -128,3 +134,31 @@ def test_development_rises_and_stays_in_range():
     shown = np.asarray(developed(light))
     assert (np.diff(shown) >= 0).all() and shown[0] == 0.0 and shown[-1] <= 1.0
     assert (np.diff(np.asarray(encoded(jnp.linspace(0.0, 1.0, 500, dtype=jnp.float32))).astype(int)) >= 0).all()
+
+
+@pytest.mark.parametrize("samples", [1, 6])
+def test_shadow_of_an_edge_is_as_soft_as_the_sun_is_wide(samples):
+    """A plate 40 m above a floor, the Sun above both: at the edge of its shadow a disc is hidden bit by bit."""
+    floor = box("floor", (-30.0, 30.0), (-30.0, 30.0), (-1.0, 0.0), "white", "a test")
+    plate = box("plate", (-30.0, 0.0), (-30.0, 30.0), (40.0, 40.01), "white", "a test")
+    plain = default_scene()
+    above = jnp.asarray([0.0, 0.0, 1.0], jnp.float32)
+    scene = plain._replace(station=solids((floor, plate), MATERIAL_NAMES), heavens=plain.heavens._replace(sun=above))
+    eye = camera(
+        "station_top",
+        height=24,
+        width=24,
+        samples=samples,
+        field=0.6,
+        position=(0.0, 0.0, 20.0),
+        attitude=aimed((0, 0, 20), (0, 0, 0), (0, 1, 0)),
+    )
+    away = View.of(np.array([1e5, 0.0, 0.0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0], np.float32))
+    rows = np.asarray(linear(jax.jit(render)(scene, away, eye)["rgb"][..., 1] / 255.0))
+    lit = (rows.mean(axis=0) - rows.min()) / (rows.max() - rows.min())
+    place = 0.025 * (np.arange(24) - 11.5) / (40.0 * np.tan(float(scene.heavens.sun_radius)))
+    edge = np.clip(place, -1.0, 1.0)
+    hidden = (np.arccos(edge) - edge * np.sqrt(1.0 - edge**2)) / np.pi  # the segment of a disc
+    expected = 1.0 - hidden if samples > 1 else (place > 0).astype(float)
+    assert (np.abs(place) > 1).sum() >= 8 and (np.abs(place) < 1).sum() >= 12
+    np.testing.assert_allclose(lit, expected, atol=0.05)

@@ -96,7 +96,12 @@ def columns_and_rows(
 
 
 def between(
-    reach: Bounds, present: Bool[Array, "N"], towards: Float[Array, "3 3"], points: Vector, active: Bool[Array, "T L"]
+    reach: Bounds,
+    present: Bool[Array, "N"],
+    towards: Float[Array, "3 3"],
+    slant: Float[Array, ""],
+    points: Vector,
+    active: Bool[Array, "T L"],
 ) -> Words:
     """Give what may stand between the points of each tile and a far light.
 
@@ -104,16 +109,18 @@ def between(
         reach: of the solids along `towards`.
         present: which of them are there.
         towards: two directions across the light's and that of the light itself, as rows.
+        slant: how far to the side, at distance 1, the edge of the light lies from its middle.
         points: (T, L) [m].
         active: which points count; a tile without any has no candidate.
     """
     least, most = reach
-    mask = present[None, :] & active.any(axis=1)[:, None]
-    for axis in range(3):
-        place = sum(towards[axis, j] * points[j] for j in range(3))
-        mask = mask & (most[axis][None, :] >= jnp.where(active, place, FAR).min(axis=1)[:, None])
-        if axis < 2:
-            mask = mask & (least[axis][None, :] <= jnp.where(active, place, -FAR).max(axis=1)[:, None])
+    across, up, along = (sum(axis[j] * points[j] for j in range(3)) for axis in towards)
+    far = most[2][None, :] - jnp.where(active, along, FAR).min(axis=1)[:, None]
+    mask = present[None, :] & active.any(axis=1)[:, None] & (far >= 0)
+    aside = slant * far
+    for axis, place in enumerate((across, up)):
+        mask = mask & (most[axis][None, :] + aside >= jnp.where(active, place, FAR).min(axis=1)[:, None])
+        mask = mask & (least[axis][None, :] - aside <= jnp.where(active, place, -FAR).max(axis=1)[:, None])
     return packed(mask)
 
 
