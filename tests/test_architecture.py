@@ -10,8 +10,8 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
     "owm_envs": [
-        {"words", "registration", "files", "cores", "flags", "view"},
-        {"shell", "station", "claims"},
+        {"words", "registration", "files", "cores", "flags", "view", "pipeline"},
+        {"shell", "station", "claims", "video"},
         {"config"},
         {"dynamics"},
         {"task"},

@@ -23,6 +23,7 @@ from owm_envs.episode import Episode
 from owm_envs.files import write_atomically
 from owm_envs.flags import own_flags
 from owm_envs.station.ports import PORT_NAMES
+from owm_envs.video import mp4, require_av, save_film
 from owm_envs.view import View
 
 _AT_ONCE = 8  # frames a call: progress is told between, and no more are in memory
@@ -64,52 +65,11 @@ def _shoot(params, scene, lens, start, views, epochs):
     return jax.lax.map(one, (views, epochs))
 
 
-def save_film(path: str | Path, images: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float) -> None:
-    """Write pictures as an MP4 (H.264), complete or not at all.
-
-    Raises:
-        ImportError: PyAV is not installed.
-        ValueError: the name does not end in .mp4.
-    """
-    av, path = _av(), _mp4(path)
-
-    def write(file: Any) -> None:
-        with av.open(file, "w", format="mp4") as container:
-            stream = None
-            for image in images:
-                # H.264 in its common form has colour for pairs of pixels.
-                image = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2), (0, 0)), "edge")
-                if stream is None:
-                    stream = container.add_stream("libx264", rate=round(fps), options={"crf": "18"})
-                    stream.height, stream.width = image.shape[:2]
-                    stream.pix_fmt = "yuv420p"
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
-            if stream is not None:
-                container.mux(stream.encode())
-
-    write_atomically(path, write)
-
-
 def film_camera(path: str | Path, name: str, size: int, port: str) -> Camera:
     """Give the camera of a film to be saved as `path`, once nothing stands in its way; raises as `save_film`."""
-    _av()
-    _mp4(path)
+    require_av()
+    mp4(path)
     return camera(name, height=size, width=size, port=port)
-
-
-def _mp4(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise ValueError(f"a film's name must end in .mp4, got {path}")
-    return path
-
-
-def _av() -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise ImportError(f"films need PyAV ({error}): pip install 'outofthisworldmodel-envs[video]'") from error
-    return av
 
 
 def contact_sheet(images: Sequence[UInt8[np.ndarray, "H W 3"]], columns: int = 4) -> UInt8[np.ndarray, "R C 3"]:
@@ -157,7 +117,7 @@ def film_run(
     if not (fps > 0 and speed > 0):
         raise ValueError(f"fps and speed must be above 0, got {fps} and {speed}")
     if not sheet:
-        _av()
+        require_av()
     folder, out = dataset_folder(run, split), Path(out)
     lens_of = [camera(name, height=size, width=size, port=port) for port in PORT_NAMES]
     flights = read(folder)
