@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from owm_envs.files import inner_path, write_atomically
+from owm_envs.hub import SOURCE
 
 MANIFEST = "manifest.json"
-SOURCE = "source.json"
-"""Where a download notes what it came from: of no run, like everything whose name begins with a dot."""
+BESIDE = (MANIFEST, SOURCE, "README.md")
+"""What lies at the root and is no part of the run: where it was fetched from, and a card, which may be reworded."""
 
 
 class Entry(NamedTuple):
@@ -20,22 +21,26 @@ class Entry(NamedTuple):
     sha256: str
     bytes: int
 
+    @classmethod
+    def of(cls, content: Path | bytes) -> "Entry":
+        """What to tell of a file, or of what one is to hold."""
+        if not isinstance(content, Path):
+            return cls(hashlib.sha256(content).hexdigest(), len(content))
+        with open(content, "rb") as file:
+            return cls(hashlib.file_digest(file, "sha256").hexdigest(), content.stat().st_size)
+
 
 def write_manifest(root: str | os.PathLike) -> None:
     """List every file below a folder in its `manifest.json`.
 
-    Files and folders whose names begin with a dot are left out: half-written files, and what desktops leave.
+    Left out are `BESIDE`, and files and folders whose names begin with a dot: half-written, or left by desktops.
 
     Raises:
         ValueError: a symbolic link or something else that is no plain file lies there.
     """
     root = Path(root)
-    store_manifest(root / MANIFEST, {name: entry_of(root / name) for name in sorted(_names(root))})
-
-
-def store_manifest(path: Path, entries: dict[str, Entry]) -> None:
-    """Write these entries, by their paths below the manifest's own folder."""
-    write_atomically(path, lambda file: file.write(manifest_text(entries)), text=True)
+    text = manifest_text({name: Entry.of(root / name) for name in _names(root)})
+    write_atomically(root / MANIFEST, lambda file: file.write(text), text=True)
 
 
 def manifest_text(entries: dict[str, Entry]) -> str:
@@ -90,14 +95,8 @@ def check_entry(path: Path, entry: Entry) -> None:
     """
     if (size := path.stat().st_size) != entry.bytes:
         raise ValueError(f"{path} has {size:,} bytes, {MANIFEST} tells of {entry.bytes:,}: damaged, or changed since")
-    if entry_of(path).sha256 != entry.sha256:
+    if Entry.of(path).sha256 != entry.sha256:
         raise ValueError(f"{path} does not match its SHA-256 in {MANIFEST}: damaged, or changed since")
-
-
-def entry_of(path: Path) -> Entry:
-    """Hash and size of a file."""
-    with open(path, "rb") as file:
-        return Entry(hashlib.file_digest(file, "sha256").hexdigest(), path.stat().st_size)
 
 
 def _names(root: Path) -> Iterator[str]:
@@ -110,5 +109,5 @@ def _names(root: Path) -> Iterator[str]:
                 raise ValueError(f"{path} is no plain file or folder: a run holds only these")
         for name in files:
             told = Path(folder, name).relative_to(root).as_posix()
-            if not name.startswith(".") and told not in (MANIFEST, SOURCE):
+            if not name.startswith(".") and told not in BESIDE:
                 yield told
