@@ -464,6 +464,8 @@ def _told(name: str, revision: str | None, error: BaseException) -> OSError:
         return HubError(name, f"refuses that ({status}): {plain(error)[:200]}")
     if status >= 500:
         return Unreachable(name, f"cannot be reached: it answers {status}")
+    if "FileMetadataError" in kinds:
+        return HubError(name, "answers like none: check proxy, firewall and HF_ENDPOINT")
     if "Consistency check" in str(error):
         return Unreachable(name, "broke the connection in the middle of a file; the same command goes on from there")
     if _UNREACHABLE & kinds:

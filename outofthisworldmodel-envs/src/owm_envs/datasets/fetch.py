@@ -90,8 +90,9 @@ def _fetched(name: str, revision: str | None) -> dict[str, Fetched]:
     except (hub.NoRepository, hub.Unreachable) as error:
         try:
             return {split: hub.fetch(f"{name}-{split}", revision, kind="dataset", check=_check) for split in SPLITS}
-        except hub.HubError:
-            raise error from None
+        except (hub.NoRepository, hub.Unreachable) as other:
+            missing = isinstance(error, hub.NoRepository) and isinstance(other, hub.Unreachable)
+            raise (other if missing else error) from None
 
 
 def _commits(parts: Mapping[str, Fetched]) -> dict[str, str]:
