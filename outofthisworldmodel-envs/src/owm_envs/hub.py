@@ -30,10 +30,12 @@ _PATIENCE = 10.0
 """Seconds until a hub that does not answer counts as out of reach."""
 _REPOSITORY = re.compile(r"(?P<name>\w[\w.-]*/\w[\w.-]*)(@(?P<revision>\w[\w./-]*))?")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
+_ATTEMPTS = 3
+"""At a file whose connection breaks, beside those that the client makes by itself."""
+_BROKEN = {"ChunkedEncodingError", "ContentDecodingError", "IncompleteRead", "ProtocolError", "ReadError"}
 _UNREACHABLE = {
-    *("ConnectError", "ConnectionError", "ConnectTimeout", "OfflineModeIsEnabled", "LocalEntryNotFoundError"),
-    *("NetworkError", "ProtocolError", "RemoteProtocolError", "Timeout", "TimeoutException", "TransportError"),
-    *("ChunkedEncodingError", "SSLError"),
+    *("ConnectError", "ConnectionError", "LocalEntryNotFoundError", "NetworkError", "OfflineModeIsEnabled"),
+    *("SSLError", "Timeout", "TimeoutException", "TransportError"),
 }
 """Names of errors, by whichever HTTP client the hub's own stands on."""
 
@@ -66,6 +68,10 @@ class Hashes(NamedTuple):
     """Of large files."""
     blob: str
     """Git's SHA-1 of the others."""
+
+
+class Broken(Unreachable):
+    """The connection ended in the middle of a file."""
 
 
 class Fetched(NamedTuple):
@@ -377,8 +383,15 @@ def _downloaded(name: str, commit: str, kind: Kind, only: Collection[str] | None
     from huggingface_hub import snapshot_download
 
     patterns = {"allow_patterns": None if only is None else list(only), "ignore_patterns": [".gitattributes"]}
-    with _in_words(name, commit):
-        return Path(snapshot_download(name, repo_type=kind, revision=commit, **patterns))
+
+    def once() -> Path:
+        with _in_words(name, commit):
+            return Path(snapshot_download(name, repo_type=kind, revision=commit, **patterns))
+
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(Broken):  # what had arrived is kept
+            return once()
+    return once()
 
 
 def _matches(content: Path | bytes, listed: Hashes) -> bool:
@@ -466,8 +479,8 @@ def _told(name: str, revision: str | None, error: BaseException) -> OSError:
         return Unreachable(name, f"cannot be reached: it answers {status}")
     if "FileMetadataError" in kinds:
         return HubError(name, "answers like none: check proxy, firewall and HF_ENDPOINT")
-    if "Consistency check" in str(error):
-        return Unreachable(name, "broke the connection in the middle of a file; the same command goes on from there")
+    if _BROKEN & kinds or "Consistency check" in str(error):
+        return Broken(name, "broke the connection in the middle of a file; the same command goes on from there")
     if _UNREACHABLE & kinds:
         return Unreachable(name, "cannot be reached")
     return HubError(name, f"could not be used: {type(error).__name__}: {plain(error)[:200]}")
