@@ -12,7 +12,7 @@ FLOORS = {
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view", "pipeline"},
         {"shell", "station", "claims", "video"},
-        {"config"},
+        {"config", "hub"},
         {"dynamics"},
         {"task"},
         {"camera"},
