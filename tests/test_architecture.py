@@ -22,6 +22,7 @@ FLOORS = {
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
         {"film"},
+        {"commands"},
         {"cli"},
         {"__main__"},
     ],

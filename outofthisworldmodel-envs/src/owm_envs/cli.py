@@ -6,73 +6,8 @@ from typing import Annotated
 import tyro
 
 from owm_envs import __version__
-from owm_envs.shell import resumable, run
-
-
-def generate(
-    out: Path,
-    env: str | None = None,
-    noise: str | None = None,
-    transitions: int = 20_000,
-    val_transitions: int | None = None,
-    seed: int = 0,
-    planner_style: float = 0.0,
-    steps_per_action: int | None = None,
-    episodes_per_batch: int = 64,
-    config: Path | None = None,
-) -> None:
-    """Record a dataset: OUT/train and OUT/val, LeRobot v3.
-
-    Whole episodes are recorded until each split has its transitions. A killed run is resumed by the same command.
-
-    Args:
-        out: Folder to make.
-        env: iss, iss-hcw or iss-numerical (the default).
-        noise: Sensor noise: none, cooperative (the default) or noncooperative.
-        transitions: Least number of transitions of the train split.
-        val_transitions: The same of the val split, which flies to each port at least once; a tenth of train by default.
-        seed: Decides everything random.
-        planner_style: Share of train episodes flown with random wrenches held for 2 s, as a planner's candidates are.
-        steps_per_action: Simulation steps (0.05 s) an action is held for; frames are recorded once an action.
-        episodes_per_batch: Most episodes to fly, and write to one file, at a time.
-        config: TOML file of the environment's configuration; env, noise and steps_per_action win over it if given.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    from owm_envs.config import FIDELITIES, load_config
-    from owm_envs.datasets.generate import Request
-    from owm_envs.datasets.generate import generate as record
-    from owm_envs.words import unknown
-
-    if env is not None and env not in FIDELITIES:
-        raise ValueError(unknown("env", env, FIDELITIES))
-    given = {"fidelity": env, "noise": noise, "steps_per_action": steps_per_action}
-    if config is None and noise is None:
-        given["noise"] = "cooperative"
-    settings = load_config(config, **{name: value for name, value in given.items() if value is not None})
-    val_transitions = max(1, transitions // 10) if val_transitions is None else val_transitions
-    request = Request(transitions, val_transitions, seed, planner_style, episodes_per_batch)
-    resumable()
-    console = Console(stderr=True)
-    bars: dict[str, int] = {}
-    columns = [
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} transitions"),
-        TimeElapsedColumn(),
-    ]
-    with Progress(*columns, console=console) as bar:
-
-        def show(progress):
-            if progress.split not in bars:
-                bars[progress.split] = bar.add_task(progress.split, total=progress.target)
-            bar.update(bars[progress.split], completed=progress.done)
-
-        summary = record(out, settings, request, announce=lambda text: console.print(f"{text} ..."), progress=show)
-    for split, counts in summary.items():
-        print(f"{out / split}: {counts['episodes']} episodes, {counts['transitions']:,} transitions")
+from owm_envs.commands.record import generate, merge
+from owm_envs.shell import run
 
 
 def render(
@@ -353,6 +288,7 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     station.command(station_show, name="show")
     app = tyro.extras.SubcommandApp()
     app.command(generate)
+    app.command(merge)
     app.command(render)
     app.command(push)
     app.command(download)

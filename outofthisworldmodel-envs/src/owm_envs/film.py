@@ -1,8 +1,7 @@
 """Recorded flights as films and contact sheets: the camera, from where a flight went, under the heavens of its time."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np

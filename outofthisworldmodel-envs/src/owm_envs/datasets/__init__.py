@@ -4,8 +4,9 @@
 """
 
 from owm_envs.datasets.fetch import download, local_dataset
-from owm_envs.datasets.generate import Request, generate
+from owm_envs.datasets.generate import generate
 from owm_envs.datasets.reader import read, read_statistics
+from owm_envs.datasets.recipe import Request
 from owm_envs.episode import POLICY_NAMES, Episode
 
 __all__ = ["POLICY_NAMES", "Episode", "Request", "download", "generate", "local_dataset", "read", "read_statistics"]

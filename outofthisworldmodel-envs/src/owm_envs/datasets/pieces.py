@@ -114,6 +114,11 @@ class Pieces:
             reader = pa.ipc.open_file(file)
             return sum(reader.get_batch(i).num_rows for i in range(reader.num_record_batches)) - 1
 
+    @property
+    def bytes(self) -> int:
+        """Of all of them on disk."""
+        return sum(path.stat().st_size for path in self.folder.glob("*.*") if path.suffix in (".arrow", ".mp4"))
+
     def take(self, other: "Pieces") -> int:
         """Link or copy all episodes of another folder that are missing here; say how many."""
         taken = 0

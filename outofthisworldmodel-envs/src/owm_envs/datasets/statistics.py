@@ -5,7 +5,6 @@ found in passes over the rows, those of pixels in histograms.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -62,16 +61,12 @@ def pixel_statistics(histogram: Int[np.ndarray, "3 256"], frames: int) -> dict[s
     return {key: value.reshape(shape) for key, value in found.items()} | {"count": np.array([frames])}
 
 
-class Total(NamedTuple):
-    """Statistics of the episodes so far; quantiles are means weighted by count."""
+def united(one: Statistics, other: Statistics) -> Statistics:
+    """Statistics of two sets of rows together; the first may be empty. Quantiles are means weighted by count.
 
-    statistics: Statistics = {}
-
-    def plus(self, part: Statistics) -> "Total":
-        """With another episode. Source of the moments: Chan, Golub, LeVeque, Updating formulae, 1979."""
-        if not self.statistics:
-            return Total(part)
-        return Total({name: _union(own, part[name]) for name, own in self.statistics.items()})
+    Source of the moments: Chan, Golub and LeVeque, Updating formulae and a pairwise algorithm, COMPSTAT 1982.
+    """
+    return {name: _union(one[name], own) if one else own for name, own in other.items()}
 
 
 def _union(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -16,11 +16,11 @@ from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, Feature, featur
 from owm_envs.datasets.statistics import (
     WIDEST,
     Statistics,
-    Total,
     counted_rows,
     episode_statistics,
     exact_quantiles,
     pixel_statistics,
+    united,
 )
 from owm_envs.files import write_atomically
 from owm_envs.station.ports import PORT_NAMES
@@ -85,7 +85,7 @@ def write_split(
             path = folder / VIDEO_PATH.format(video_key=key, **place)
             write_atomically(path, lambda out, films=films: join_videos(films, out, fps))
         write_parquet([pa.Table.from_pylist(split.rows)], folder / EPISODES_PATH.format(**place))
-    statistics = split.total.statistics
+    statistics = split.statistics
     statistics |= {name: statistics[name] | quantiles for name, quantiles in _exact_quantiles(folder, statistics)}
     statistics |= {key: pixel_statistics(counts, split.frames) for key, counts in split.histograms.items()}
     return Written(split.episodes, split.frames, statistics)
@@ -97,7 +97,7 @@ class _Split:
     def __init__(self, fps: float, videos: dict[str, str]):
         self.fps, self.videos = fps, videos
         self.episodes = self.frames = self.shown = 0
-        self.total = Total()
+        self.statistics: Statistics = {}
         self.histograms: dict[str, np.ndarray] = {}
 
     def begin(self, place: Mapping[str, int]) -> None:
@@ -107,17 +107,19 @@ class _Split:
     def table(self, piece: Piece) -> pa.Table:
         """Append an episode; give its rows of data."""
         length = len(piece.columns["index"])
-        piece.columns["episode_index"] += self.episodes
-        piece.columns["index"] += self.frames
-        statistics = episode_statistics(piece.columns)
-        self.total = self.total.plus(statistics)
+        columns = piece.columns | {
+            "episode_index": piece.columns["episode_index"] + self.episodes,
+            "index": piece.columns["index"] + self.frames,
+        }
+        statistics = episode_statistics(columns)
+        self.statistics = united(self.statistics, statistics)
         for part, key in self.videos.items():
             counts = piece.histograms[part]
             self.histograms[key] = self.histograms.get(key, 0) + counts
             statistics[key] = pixel_statistics(counts, length)
         self.rows.append(self._row(piece, length, statistics))
         self.episodes, self.frames, self.shown = self.episodes + 1, self.frames + length, self.shown + length
-        return pa.table({name: arrow(values) for name, values in piece.columns.items()})
+        return pa.table({name: arrow(values) for name, values in columns.items()})
 
     def _row(self, piece: Piece, length: int, statistics: Statistics) -> dict[str, Any]:
         """What the table of episodes says of one."""
