@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from owm_envs.config import DockingConfig, load_config
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
 from owm_envs.datasets.schema import FEATURES, episode_from_columns, part_columns
 from owm_envs.datasets.statistics import Statistics
@@ -43,6 +44,28 @@ def read(path: str | Path, split: str | None = None) -> list[Episode]:
     return episodes
 
 
+def read_episode(path: str | Path, split: str | None = None, number: int = 0) -> Episode:
+    """Read one episode; no more than a file's episodes are held at a time.
+
+    Args:
+        path, split: as `read` takes them.
+        number: of the episode, from 0.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read`, or there is no episode of that number.
+    """
+    folder = dataset_folder(path, split)
+    info = read_info(folder)
+    told, count = info.get("total_episodes"), 0
+    if number >= 0 and (told is None or number < told):
+        for file in _data_files(folder):
+            for count, episode in enumerate(_read_file(file, info.get("features") or {}), count):
+                if count == number:
+                    return episode
+            count += 1
+    raise ValueError(f"episode must be from 0 to {(count if told is None else told) - 1} in {folder}, got {number}")
+
+
 def dataset_folder(path: str | Path, split: str | None = None) -> Path:
     """The folder of the LeRobot dataset meant by `path` and `split`.
 
@@ -62,6 +85,8 @@ def dataset_folder(path: str | Path, split: str | None = None) -> Path:
         return root / split
     if (root / "meta" / "info.json").is_file():
         return root
+    if len(splits) == 1:
+        return root / splits[0]
     if splits:
         raise ValueError(f"{root} holds the splits {', '.join(splits)}: name one")
     raise ValueError(f"{root} is not a LeRobot dataset: it has no meta/info.json")
@@ -82,6 +107,16 @@ def read_info(folder: Path) -> dict:
     if version.lstrip("v").split(".")[0] != "3":
         raise ValueError(f"{folder} is a LeRobot dataset of version {version}; this reads version v3.x")
     return info
+
+
+def read_config(folder: Path) -> DockingConfig:
+    """The configuration of the environment that a dataset was recorded in; the default one if none lies with it.
+
+    Args:
+        folder: of the dataset, or of a split of it.
+    """
+    kept = [file for file in (folder / "config.toml", folder.parent / "config.toml") if file.is_file()]
+    return load_config(kept[0]) if kept else load_config()
 
 
 def read_statistics(path: str | Path, split: str | None = "train") -> Statistics:
