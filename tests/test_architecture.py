@@ -12,7 +12,7 @@ FLOORS = {
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view"},
         {"shell", "station", "claims"},
-        {"config"},
+        {"config", "figures"},
         {"dynamics"},
         {"task"},
         {"camera"},
@@ -22,6 +22,7 @@ FLOORS = {
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
         {"film"},
+        {"replay"},
         {"cli"},
         {"__main__"},
     ],

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -23,29 +24,36 @@ def read(path: str | Path, split: str | None = None) -> list[Episode]:
     Args:
         path: folder of a LeRobot v3 dataset written by `owm-envs generate` (vectors as written, bit for bit) or with
             the columns of the paper authors' published datasets; or the folder that holds its splits.
-        split: name of the split's folder below `path`; None if `path` itself is the dataset.
+        split: name of the split's folder below `path`; None if `path` itself is the dataset, or has but one split.
 
     Raises:
         FileNotFoundError: there is no such folder, split or data file.
         ValueError: it is not a LeRobot dataset, of another version, incomplete, truncated, or of other columns.
     """
+    return list(episodes(path, split))
+
+
+def episodes(path: str | Path, split: str | None = None) -> Iterator[Episode]:
+    """The same one by one: no more than a file's episodes are held at a time; raises as `read`, while it is read."""
     folder = dataset_folder(path, split)
     info = read_info(folder)
     files = _data_files(folder)
-    episodes = [episode for file in files for episode in _read_file(file, info.get("features") or {})]
+    count = frames = 0
     # An episode may span files only where another writer split it; ours never do.
-    frames = sum(len(episode) + 1 for episode in episodes)
+    for file in files:
+        for episode in _read_file(file, info.get("features") or {}):
+            count, frames = count + 1, frames + len(episode) + 1
+            yield episode
     for what, found, told in [
-        ("episodes", len(episodes), info.get("total_episodes")),
+        ("episodes", count, info.get("total_episodes")),
         ("frames", frames, info.get("total_frames")),
     ]:
         if told is not None and found != told:
             raise ValueError(f"{folder} is incomplete: it holds {found} {what}, its info.json tells of {told}")
-    return episodes
 
 
 def read_episode(path: str | Path, split: str | None = None, number: int = 0) -> Episode:
-    """Read one episode; no more than a file's episodes are held at a time.
+    """Read one episode.
 
     Args:
         path, split: as `read` takes them.
@@ -55,15 +63,11 @@ def read_episode(path: str | Path, split: str | None = None, number: int = 0) ->
         FileNotFoundError, ValueError: as `read`, or there is no episode of that number.
     """
     folder = dataset_folder(path, split)
-    info = read_info(folder)
-    told, count = info.get("total_episodes"), 0
-    if number >= 0 and (told is None or number < told):
-        for file in _data_files(folder):
-            for count, episode in enumerate(_read_file(file, info.get("features") or {}), count):
-                if count == number:
-                    return episode
-            count += 1
-    raise ValueError(f"episode must be from 0 to {(count if told is None else told) - 1} in {folder}, got {number}")
+    count = read_info(folder).get("total_episodes")
+    if number >= 0 and (count is None or number < count):
+        for episode in islice(episodes(folder), number, None):
+            return episode
+    raise ValueError(f"episode must be from 0{'' if count is None else f' to {count - 1}'} in {folder}, got {number}")
 
 
 def dataset_folder(path: str | Path, split: str | None = None) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from owm_envs.camera.views import camera
-from owm_envs.files import output_folder, write_atomically
+from owm_envs.files import output_file, write_atomically
 from owm_envs.replay.recording import CURVES, HELD, Pictures, Recording
 from owm_envs.station import CHASER, MATERIALS, PARTS, PORTS, Part
 
@@ -20,19 +20,6 @@ _APART = 10.0  # s between two places of the Sun
 _GOOD, _BAD = ("docked",), ("collided", "escaped", "invalid_action", "diverged")
 
 
-def page_path(path: str | Path) -> Path:
-    """Where a page is to go, before any work is done for it.
-
-    Raises:
-        ValueError: the name does not end in .html, or is a folder's.
-        NotADirectoryError, PermissionError: nothing can be written there.
-    """
-    path = Path(path)
-    if path.suffix.lower() != ".html" or path.is_dir():
-        raise ValueError(f"out must be the name of an .html file, got {path}")
-    return output_folder(path.parent) / path.name
-
-
 def save_page(path: str | Path, recording: Recording) -> Path:
     """Write a flight as a page, whole or not at all.
 
@@ -40,9 +27,9 @@ def save_page(path: str | Path, recording: Recording) -> Path:
         Where it is.
 
     Raises:
-        ValueError, NotADirectoryError, PermissionError: as `page_path`.
+        ValueError, NotADirectoryError, PermissionError: as `output_file`.
     """
-    path, text = page_path(path), page(recording)
+    path, text = output_file(path, ".html"), page(recording)
     write_atomically(path, lambda file: file.write(text), text=True)
     return path
 
@@ -155,10 +142,9 @@ def _earth() -> np.ndarray:
     import cv2
 
     folder = files("owm_envs.camera") / "assets"
-    ground, clouds = (
-        cv2.resize(cv2.imdecode(np.frombuffer((folder / name).read_bytes(), np.uint8), mode), _EARTH, interpolation=cv2.INTER_AREA)
-        for name, mode in (("earth.jpg", cv2.IMREAD_COLOR), ("clouds.jpg", cv2.IMREAD_GRAYSCALE))
-    )
+    kept = (np.frombuffer((folder / name).read_bytes(), np.uint8) for name in ("earth.jpg", "clouds.jpg"))
+    maps = (cv2.imdecode(data, mode) for data, mode in zip(kept, (cv2.IMREAD_COLOR, cv2.IMREAD_GRAYSCALE)))
+    ground, clouds = (cv2.resize(image, _EARTH, interpolation=cv2.INTER_AREA) for image in maps)
     cover = clouds[..., None] / 255.0
     return np.uint8(ground[..., ::-1] * (1 - cover) + 235 * cover)
 

@@ -1,4 +1,4 @@
-"""A flight as a recording for the Rerun viewer; needs `rerun-sdk` (the extra `rerun`) and `trimesh` (the extra `mesh`)."""
+"""A flight as a recording for the Rerun viewer; needs the extra `rerun`."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from owm_envs.camera.views import camera
-from owm_envs.files import write_atomically
+from owm_envs.files import output_file, write_atomically
 from owm_envs.replay.recording import CURVES, Recording
 from owm_envs.station import CHASER, PARTS, PORTS
 from owm_envs.station.mesh import UP, scene
@@ -38,12 +38,9 @@ def save_rrd(path: str | Path, recording: Recording) -> Path:
 
     Raises:
         ImportError: rerun-sdk or trimesh is missing.
-        ValueError: the name does not end in .rrd.
+        ValueError, NotADirectoryError, PermissionError: as `output_file`.
     """
-    rerun, path = require_rerun(), Path(path)
-    if path.suffix.lower() != ".rrd":
-        raise ValueError(f"a Rerun recording's name must end in .rrd, got {path}")
-
+    rerun, path = require_rerun(), output_file(path, ".rrd")
     stream = rerun.RecordingStream("owm-envs replay")
     sink = stream.binary_stream()
     stream.send_blueprint(_blueprint(recording))
@@ -60,7 +57,8 @@ def _log(rr: Any, stream: Any, recording: Recording) -> None:
     stream.log("station", rr.ViewCoordinates.LBU, static=True)  # x to port, y aft, z up
     for name, parts in (("station/mesh", PARTS), ("station/chaser/mesh", CHASER)):
         # The mesh is glTF's, y up; Rerun takes it as it is.
-        stream.log(name, rr.Asset3D(contents=scene(parts).export(file_type="glb"), media_type="model/gltf-binary"), static=True)
+        mesh = scene(parts).export(file_type="glb")
+        stream.log(name, rr.Asset3D(contents=mesh, media_type="model/gltf-binary"), static=True)
         stream.log(name, rr.Transform3D(mat3x3=UP["y"]), static=True)
     sizes, centres = np.diff(boxes, axis=1)[:, 0], boxes.mean(axis=1)
     stream.log("station/hull", rr.Boxes3D(centers=centres, sizes=sizes, colors=[_HULL]), static=True)
@@ -89,18 +87,26 @@ def _log(rr: Any, stream: Any, recording: Recording) -> None:
         for line in curve.lines:
             place, axis = _place(curve.label, line), line.partition("_")[2]
             colour = [_COLOURS[axis]] if axis else None
-            stream.log(place, rr.SeriesLines(names=[f"{axis or curve.label} [{curve.unit}]"], colors=colour), static=True)
+            name = f"{axis or curve.label} [{curve.unit}]"
+            stream.log(place, rr.SeriesLines(names=[name], colors=colour), static=True)
             stream.send_columns(place, when, rr.Scalars.columns(scalars=columns[line]))
-    lens = camera("chaser_fpv")
-    stream.log("station/chaser/nose", rr.Transform3D(translation=np.asarray(lens.position), quaternion=np.roll(np.asarray(lens.attitude), -1)), static=True)
+    lens, nose = camera("chaser_fpv"), "station/chaser/nose"
+    turned = np.roll(np.asarray(lens.attitude), -1)
+    stream.log(nose, rr.Transform3D(translation=np.asarray(lens.position), quaternion=turned), static=True)
     if recording.pictures is not None:
         rows, images, _ = recording.pictures
         height, width = images.shape[1:3]
-        pinhole = rr.Pinhole(fov_y=float(lens.field), aspect_ratio=width / height, camera_xyz=rr.ViewCoordinates.LUF, image_plane_distance=3.0, resolution=(width, height))
-        stream.log("station/chaser/nose", pinhole, static=True)
+        pinhole = rr.Pinhole(
+            fov_y=float(lens.field),
+            aspect_ratio=width / height,
+            resolution=(width, height),
+            camera_xyz=rr.ViewCoordinates.LUF,
+            image_plane_distance=3.0,
+        )
+        stream.log(nose, pinhole, static=True)
         for row, image in zip(rows, images):
             stream.set_time(_TIME, duration=float(recording.times[row]))
-            stream.log("station/chaser/nose", rr.Image(image).compress(jpeg_quality=90))
+            stream.log(nose, rr.Image(image).compress(jpeg_quality=90))
 
 
 def _place(label: str, line: str) -> str:
@@ -111,9 +117,12 @@ def _blueprint(recording: Recording) -> Any:
     from rerun import blueprint
 
     curves = [
-        blueprint.TimeSeriesView(name=f"{curve.label} [{curve.unit}]", origin=_place(curve.label, "")) for curve in CURVES
+        blueprint.TimeSeriesView(name=f"{curve.label} [{curve.unit}]", origin=_place(curve.label, ""))
+        for curve in CURVES
     ]
-    pictures = [] if recording.pictures is None else [blueprint.Spatial2DView(name="camera", origin="station/chaser/nose")]
+    pictures = []
+    if recording.pictures is not None:
+        pictures = [blueprint.Spatial2DView(name="camera", origin="station/chaser/nose")]
     space = blueprint.Spatial3DView(name="station frame", origin="station")
     return blueprint.Blueprint(
         blueprint.Horizontal(space, blueprint.Vertical(*pictures, *curves), column_shares=[3, 1]), collapse_panels=True
