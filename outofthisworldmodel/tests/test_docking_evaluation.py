@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from owm.report.plots import hull_distance, save_figure, tolerance_figure, trajectory_figure
+from owm.report.plots import hull_distance, tolerance_figure, trajectory_figure
 from owm.report.tables import definitions_table, docking_table, failures, port_table
 from owm.scores.docking import (
     check_identical_starts,
@@ -27,6 +27,7 @@ from owm.scores.flights import (
 from owm.scores.statistics import rate
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.env import DockingEnv
+from owm_envs.figures import save_figure
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.reader import dataset_folder, episodes, read_config, read_info
 from owm_envs.episode import Episode
-from owm_envs.figures import AXES, FAINT, INK, PALETTE, silhouette, tidy
+from owm_envs.figures import AXES, INK, PALETTE, silhouette, tidy
 from owm_envs.station import hull_boxes
 from owm_envs.view import View
 
@@ -70,8 +70,10 @@ def sketch(episode: Episode, config: DockingConfig, dt: float) -> Sketch:
     """What is drawn of an episode recorded every `dt` seconds."""
     rows = np.unique(np.linspace(0, len(episode), _DRAWS).astype(int))
     measured, true, noise = episode.observation["state"][rows], episode.true_state[rows], config.noise
-    expected = np.tile([noise.position, noise.velocity, noise.attitude, noise.rate], (len(rows), 1))
+    white, bias = ([getattr(part, name) for name, *_ in _SENSED] for part in (noise, noise.bias))
+    expected = np.tile(white, (len(rows), 1))
     expected[:, 0] += noise.position_per_range * np.linalg.norm(true[:, :3], axis=1)
+    expected = np.hypot(expected, bias)
     path = episode.true_state[np.unique(np.linspace(0, len(episode), _POINTS).astype(int)), :3]
     seconds = len(episode) * dt
     return Sketch(episode.policy_name, episode.outcome_name, seconds, path, residuals(measured, true), expected)
@@ -179,6 +181,4 @@ def _noise(panels, sketches) -> None:
 
 def _titled(axes, title: str) -> None:
     axes.set_title(title, loc="left", fontsize=10, color=INK)
-    axes.set_axisbelow(True)
     tidy(axes)
-    axes.spines["bottom"].set_color(FAINT)

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -10,10 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from owm_envs.config import DockingConfig
 from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, columns_from_episode, features_of
 from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
 from owm_envs.episode import Episode
-from owm_envs.files import write_atomically
+from owm_envs.files import remove, write_atomically
 from owm_envs.station.ports import PORT_NAMES
 
 FILES_PER_CHUNK = 1000
@@ -144,6 +145,23 @@ class SplitWriter:
         self.batches += 1
         self.episodes += rows.num_rows
         self.frames = rows["dataset_to_index"][-1].as_py()
+
+
+@contextmanager
+def recording(folder: Path, config: DockingConfig) -> Iterator[SplitWriter]:
+    """Write flights that are at hand as a dataset of one split, in place of one that is there.
+
+    Each `write` appends episodes; once left, with at least one in it, the folder is a dataset.
+
+    Args:
+        folder: to make; whatever lies there goes.
+        config: of the environment that they were flown in.
+    """
+    remove(folder)
+    writer = SplitWriter(folder, 1 / config.decision_dt)
+    yield writer
+    write_atomically(folder / "config.toml", lambda file: file.write(config.to_toml()), text=True)
+    writer.finish(writer.statistics())
 
 
 def write_json(value: dict, path: Path) -> None:

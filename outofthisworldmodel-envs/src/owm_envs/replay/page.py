@@ -94,6 +94,7 @@ def _facts(recording: Recording) -> list[list[str]]:
         ["policy", episode.policy_name],
         ["duration", f"{recording.times[-1]:.1f} s"],
         ["\N{GREEK CAPITAL LETTER DELTA}v", f"{recording.delta_v:.2f} m/s"],
+        ["least clearance", f"{recording.clearance:.2f} m", "bad" if recording.clearance <= 0 else ""],
         ["at the end", f"{last['distance']:.2f} m, {last['speed']:.3f} m/s, {last['attitude']:.1f}\N{DEGREE SIGN}"],
     ]
 

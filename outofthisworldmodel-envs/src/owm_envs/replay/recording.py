@@ -12,6 +12,7 @@ from owm_envs.config import DockingConfig
 from owm_envs.datasets.reader import dataset_folder, read_config, read_episode, read_info
 from owm_envs.episode import Episode
 from owm_envs.station import PORT_NAMES, hull_boxes
+from owm_envs.station.boxes import distance_to
 from owm_envs.view import View
 
 _SECONDS = np.array([86_400.0, 1.0])
@@ -78,6 +79,11 @@ class Recording:
     def boxes(self) -> Float[np.ndarray, "N 2 3"]:
         """Lower and upper corners of all that must not be touched, m."""
         return np.array([*(hull_boxes() if self.config.hull == "iss" else self.config.hull), *self.config.obstacles])
+
+    @property
+    def clearance(self) -> float:
+        """Least distance of the chaser's bounding sphere to the boxes, m; at or below zero on contact."""
+        return float(distance_to(self.boxes, self.episode.true_state[:, :3]).min() - self.config.chaser.radius)
 
     @property
     def delta_v(self) -> float:
