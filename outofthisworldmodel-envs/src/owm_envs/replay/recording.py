@@ -114,9 +114,12 @@ def load(run: str | Path, split: str | None = None, number: int = 0, title: str 
         split = "val"
     folder = dataset_folder(run, split)
     episode = read_episode(folder, None, number)
-    title = title or f"Episode {number} of {folder.resolve().name}: {episode.policy_name} to {PORT_NAMES[episode.port]}"
+    if title is None:
+        flown = "flight" if episode.policy_name == "other" else episode.policy_name
+        title = f"{flown} to {PORT_NAMES[episode.port]}, episode {number} of {run.resolve().name}"
+        title = title[0].upper() + title[1:].replace("_", " ")
     fps = read_info(folder).get("fps")
-    return recorded(title.replace("_", " "), episode, read_config(folder), fps)
+    return recorded(title, episode, read_config(folder), fps)
 
 
 def recorded(title: str, episode: Episode, config: DockingConfig, fps: float | None = None) -> Recording:
