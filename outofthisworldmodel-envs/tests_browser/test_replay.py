@@ -50,9 +50,8 @@ class Opened:
 
     def until(self, condition):
         """Wait for what the page itself can tell: its policy lets nobody evaluate text in it later on."""
-        self.run(
-            f"new Promise((done) => {{ const look = () => ({condition}) ? done() : requestAnimationFrame(look); look(); }})"
-        )
+        look = f"const look = () => ({condition}) ? done() : requestAnimationFrame(look); look();"
+        self.run(f"new Promise((done) => {{ {look} }})")
 
     def drawn(self):
         """Let the page draw what it was told, and give the picture of the stage."""

@@ -98,8 +98,13 @@ class SplitWriter:
         """Of everything written so far."""
         return aggregate(self._statistics)
 
-    def finish(self, statistics: Statistics) -> None:
-        """Write the metadata that makes the folder a dataset, with the statistics to normalise by."""
+    def finish(self, statistics: Statistics, about: Mapping[str, Any] | None = None) -> None:
+        """Write the metadata that makes the folder a dataset.
+
+        Args:
+            statistics: to normalise by.
+            about: what else info.json is to tell.
+        """
         meta = self.folder / "meta"
         _write_parquet([_task_table()], meta / "tasks.parquet")
         write_json(
@@ -126,6 +131,7 @@ class SplitWriter:
                 "data_path": f"data/{FILE_PATTERN}",
                 "video_path": None,
                 "features": features,
+                **(about or {}),
             },
             meta / "info.json",
         )
@@ -148,7 +154,7 @@ class SplitWriter:
 
 
 @contextmanager
-def recording(folder: Path, config: DockingConfig) -> Iterator[SplitWriter]:
+def recording(folder: Path, config: DockingConfig, policy: str | None = None) -> Iterator[SplitWriter]:
     """Write flights that are at hand as a dataset of one split, in place of one that is there.
 
     Each `write` appends episodes; once left, with at least one in it, the folder is a dataset.
@@ -156,12 +162,13 @@ def recording(folder: Path, config: DockingConfig) -> Iterator[SplitWriter]:
     Args:
         folder: to make; whatever lies there goes.
         config: of the environment that they were flown in.
+        policy: who flew, if it is none of `POLICY_NAMES`; kept in the folder's info.json.
     """
     remove(folder)
     writer = SplitWriter(folder, 1 / config.decision_dt)
     yield writer
     write_atomically(folder / "config.toml", lambda file: file.write(config.to_toml()), text=True)
-    writer.finish(writer.statistics())
+    writer.finish(writer.statistics(), {} if policy is None else {"policy": policy})
 
 
 def write_json(value: dict, path: Path) -> None:

@@ -91,7 +91,7 @@ def _facts(recording: Recording) -> list[list[str]]:
     return [
         ["outcome", outcome.replace("_", " "), kind],
         ["port", PORTS[episode.port].name.replace("_", " ")],
-        ["policy", episode.policy_name],
+        ["policy", recording.policy],
         ["duration", f"{recording.times[-1]:.1f} s"],
         ["\N{GREEK CAPITAL LETTER DELTA}v", f"{recording.delta_v:.2f} m/s"],
         ["least clearance", f"{recording.clearance:.2f} m", "bad" if recording.clearance <= 0 else ""],

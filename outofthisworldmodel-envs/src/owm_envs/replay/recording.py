@@ -60,6 +60,8 @@ class Recording:
     """Of the environment that it was flown in."""
     times: Float[np.ndarray, "T+1"]
     """s since the first instant."""
+    policy: str
+    """Who flew."""
     pictures: Pictures | None = None
 
     @property
@@ -88,7 +90,7 @@ class Recording:
     @property
     def delta_v(self) -> float:
         """The integral of the commanded force over the mass, m/s."""
-        force = np.linalg.norm(self.episode.action[:, :3], axis=1)
+        force = np.linalg.norm(np.nan_to_num(self.episode.action[:, :3]), axis=1)  # an invalid action commands nothing
         return float(force @ np.diff(self.times) / self.config.chaser.mass)
 
     @property
@@ -114,26 +116,29 @@ def load(run: str | Path, split: str | None = None, number: int = 0, title: str 
         split = "val"
     folder = dataset_folder(run, split)
     episode = read_episode(folder, None, number)
-    if title is None:
-        flown = "flight" if episode.policy_name == "other" else episode.policy_name
-        title = f"{flown} to {PORT_NAMES[episode.port]}, episode {number} of {run.resolve().name}"
-        title = title[0].upper() + title[1:].replace("_", " ")
-    fps = read_info(folder).get("fps")
-    return recorded(title, episode, read_config(folder), fps)
+    info = read_info(folder)
+    policy = info.get("policy", episode.policy_name)
+    title = title or f"{policy} to {PORT_NAMES[episode.port]}, episode {number} of {run.resolve().name}".replace(
+        "_", " "
+    )
+    return recorded(title, episode, read_config(folder), info.get("fps"), policy)
 
 
-def recorded(title: str, episode: Episode, config: DockingConfig, fps: float | None = None) -> Recording:
+def recorded(
+    title: str, episode: Episode, config: DockingConfig, fps: float | None = None, policy: str | None = None
+) -> Recording:
     """Make ready an episode that is at hand, with the frames that it observed.
 
     Args:
         title: what to call it.
         config: of the environment.
         fps: instants a second where the epochs do not tell; those of `config` when None.
+        policy: who flew; as the episode says when None.
     """
     times = (episode.epoch - episode.epoch[0]) @ _SECONDS
     if not (np.diff(times) > 0).all():
         times = np.arange(len(episode) + 1) / (fps or 1 / config.decision_dt)
-    return Recording(title, episode, config, times, _pictures(episode))
+    return Recording(title, episode, config, times, policy or episode.policy_name, _pictures(episode))
 
 
 def _pictures(episode: Episode) -> Pictures | None:

@@ -297,8 +297,8 @@ def _fly(stages: Stages, out: Path, size: Scale, seed: int) -> dict[str, Flights
             flown = fly_named(spec, config, seeds, ports, **options)
             flown.save(out / file)
 
-        def record(fly=fly):
-            with recording(out / RECORDED, config) as writer:
+        def record(fly=fly, name=name):
+            with recording(out / RECORDED, config, name) as writer:
                 fly(keep=writer.write)
 
         if name == "world model":

@@ -152,7 +152,7 @@ def fly(
         announce(f"{claim.folder} holds these flights already")
         flown = Flights.load(kept)
     else:
-        with recording(claim.folder / "episodes", config) as writer:
+        with recording(claim.folder / "episodes", config, slug(policy)) as writer:
 
             def keep(flights: list[Episode]) -> None:
                 claim.note()  # before anything lies in the folder

@@ -29,7 +29,7 @@ class Curve {
   limits() {
     let low = Infinity, high = -Infinity;
     for (const name of this.spec.columns)
-      for (const value of this.flight.columns[name]) { low = Math.min(low, value); high = Math.max(high, value); }
+      for (const value of this.flight.columns[name].filter(Number.isFinite)) { low = Math.min(low, value); high = Math.max(high, value); }
     if (!Number.isFinite(low)) return [0, 1];
     this.log = this.spec.log && low > 0 && high > 20 * low;
     if (this.log) return [Math.log10(Math.max(low, high * 1e-5)), Math.log10(high)];

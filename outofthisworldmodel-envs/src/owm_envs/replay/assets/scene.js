@@ -111,7 +111,7 @@ class World {
     });
     ghost.position.copy(vector(data.goal.slice(0, 3)));
     ghost.quaternion.copy(scalarFirst(data.goal.slice(3)));
-    goal.add(ghost);
+    goal.add((this.ghost = ghost));
 
     this.arrows = ["force", "torque"].map((kind) => {
       const arrow = new THREE.ArrowHelper(new THREE.Vector3(0, 0, 1), new THREE.Vector3(), 1, COLOURS[kind]);

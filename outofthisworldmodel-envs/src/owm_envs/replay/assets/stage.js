@@ -92,6 +92,7 @@ class Stage {
     this.renderer.shadowMap.needsUpdate = true;
     if (nose) this.small(nose);
     const camera = this.camera();
+    this.world.ghost.visible = this.mode !== "port"; // it would fill the picture
     this.look(camera, width, height);
     this.label(camera, width, height);
     return { heavens, camera };
