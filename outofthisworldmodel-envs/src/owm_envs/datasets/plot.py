@@ -114,15 +114,14 @@ def dataset_figure(sketches: list[Sketch], config: DockingConfig, name: str) -> 
 
 
 def _flights(figure, sketches, config, policies) -> None:
-    points = np.concatenate([one.path for one in sketches])
     boxes = hull_boxes() if config.hull == "iss" else np.array(config.hull)
-    points = np.concatenate([points, boxes.reshape(-1, 3)])
-    low, high = points.min(axis=0), points.max(axis=0)
-    half, middle = 0.54 * (high - low).max(), 0.5 * (low + high)  # one scale for all
     panels = figure.subplots(len(_VIEWS), len(policies), squeeze=False)
     for column, policy in enumerate(policies):
         some = [one for one in sketches if one.policy == policy]
         alpha = min(0.8, max(0.08, 12 / len(some)))
+        points = np.concatenate([*(one.path for one in some), boxes.reshape(-1, 3)])
+        low, high = points.min(axis=0), points.max(axis=0)
+        half, middle = 0.54 * (high - low).max(), 0.5 * (low + high)  # one scale for both views
         for row, (view, i, j, sign) in enumerate(_VIEWS):
             axes = panels[row, column]
             silhouette(axes, boxes, i, j, sign, alpha=0.9, zorder=1)
