@@ -12,7 +12,7 @@ FLOORS = {
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view", "pipeline"},
         {"shell", "station", "claims", "video"},
-        {"config", "hub"},
+        {"config", "hub", "figures"},
         {"dynamics"},
         {"task"},
         {"camera"},
@@ -22,6 +22,7 @@ FLOORS = {
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
         {"film"},
+        {"replay"},
         {"commands"},
         {"cli"},
         {"__main__"},

@@ -381,6 +381,7 @@ def _break(folder, how):
     if how == "missing":
         return folder / "nowhere"
     if how == "split":
+        shutil.copytree(folder, folder.with_name("other"))
         return folder.parent
     if how == "not lerobot":
         info.unlink()
@@ -404,7 +405,7 @@ def _break(folder, how):
     ("how", "error", "message"),
     [
         ("missing", FileNotFoundError, "no dataset at"),
-        ("split", ValueError, "holds the splits set: name one"),
+        ("split", ValueError, "holds the splits other, set: name one"),
         ("not lerobot", ValueError, "no meta/info.json"),
         ("version", ValueError, "version v2.1; this reads version v3"),
         ("info", ValueError, "not the info.json"),

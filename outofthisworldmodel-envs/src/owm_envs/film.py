@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from owm_envs.camera.lens import Camera
-from owm_envs.camera.light import heavens
+from owm_envs.camera.light import Heavens, heavens
 from owm_envs.camera.render import render
 from owm_envs.camera.scene import default_scene
 from owm_envs.camera.sky import load_sky
 from owm_envs.camera.views import camera
-from owm_envs.config import DockingConfig, load_config
+from owm_envs.config import DockingConfig
 from owm_envs.config.params import params_from_config
-from owm_envs.datasets.reader import dataset_folder, read
+from owm_envs.datasets.reader import dataset_folder, read, read_config
 from owm_envs.dynamics.chief import kepler_orbit
 from owm_envs.dynamics.state import PhysicalState
 from owm_envs.episode import Episode
@@ -56,12 +56,28 @@ def frames(
 def _shoot(params, scene, lens, start, views, epochs):
     def one(row):
         view, epoch = row
-        elapsed = (epoch[0] - start[0]) * 86_400.0 + (epoch[1] - start[1])
-        orbit = kepler_orbit(params, PhysicalState(start, elapsed, view[:0], None))
-        seen = heavens(epoch, orbit[:3], orbit[3:])
-        return render(scene._replace(heavens=seen), View.of(view), lens)["rgb"]
+        return render(scene._replace(heavens=_above(params, start, epoch)), View.of(view), lens)["rgb"]
 
     return jax.lax.map(one, (views, epochs))
+
+
+def _above(params, start, epoch):
+    elapsed = (epoch[0] - start[0]) * 86_400.0 + (epoch[1] - start[1])
+    orbit = kepler_orbit(params, PhysicalState(start, elapsed, epoch[:0], None))
+    return heavens(epoch, orbit[:3], orbit[3:])
+
+
+def skies(epochs: Float[np.ndarray, "T 2"], config: DockingConfig) -> Heavens:
+    """Where Sun, Moon and Earth stood along a flight, under which `frames` draws; NumPy arrays, leading axis T.
+
+    Args:
+        epochs: [MJD day, s of day] UTC of each instant.
+        config: of the environment: the station's orbit.
+    """
+    epochs = np.asarray(epochs, config.precision)
+    with own_flags():
+        params = params_from_config(config)
+        return jax.device_get(jax.jit(jax.vmap(_above, (None, None, 0)))(params, epochs[0], epochs))
 
 
 def film_camera(path: str | Path, name: str, size: int, port: str) -> Camera:
@@ -124,8 +140,7 @@ def film_run(
     for number in chosen:
         if not 0 <= number < len(flights):
             raise ValueError(f"episodes must be from 0 to {len(flights) - 1}, got {number}")
-    kept = [file for file in (folder / "config.toml", folder.parent / "config.toml") if file.is_file()]
-    config = load_config(kept[0]) if kept else load_config()
+    config = read_config(folder)
     moments = {number: _moments(flights[number], speed / fps, sheet) for number in chosen}
     total, done = sum(map(len, moments.values())), 0
     out.mkdir(parents=True, exist_ok=True)

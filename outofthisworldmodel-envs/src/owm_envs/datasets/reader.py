@@ -2,12 +2,14 @@
 
 import json
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from owm_envs.config import DockingConfig, load_config
 from owm_envs.datasets.fetch import local_dataset
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
 from owm_envs.datasets.schema import FEATURES, episode_from_columns, part_columns
@@ -24,25 +26,50 @@ def read(path: str | Path, split: str | None = None) -> list[Episode]:
         path: folder of a LeRobot v3 dataset written by `owm-envs generate` (vectors as written, bit for bit) or with
             the columns of the paper authors' published datasets; or the folder that holds its splits; or the name of
             one on the hub, as `local_dataset` takes it.
-        split: name of the split's folder below `path`; None if `path` itself is the dataset.
+        split: name of the split's folder below `path`; None if `path` itself is the dataset, or has but one split.
 
     Raises:
         FileNotFoundError: there is no such folder, split or data file.
         ValueError: it is not a LeRobot dataset, of another version, incomplete, truncated, or of other columns.
     """
+    return list(episodes(path, split))
+
+
+def episodes(path: str | Path, split: str | None = None) -> Iterator[Episode]:
+    """The same one by one: no more than a file's episodes are held at a time; raises as `read`, while it is read."""
     folder = dataset_folder(path, split)
     info = read_info(folder)
     files = _data_files(folder)
-    episodes = [episode for file in files for episode in _read_file(file, info.get("features") or {})]
+    count = frames = 0
     # An episode may span files only where another writer split it; ours never do.
-    frames = sum(len(episode) + 1 for episode in episodes)
+    for file in files:
+        for episode in _read_file(file, info.get("features") or {}):
+            count, frames = count + 1, frames + len(episode) + 1
+            yield episode
     for what, found, told in [
-        ("episodes", len(episodes), info.get("total_episodes")),
+        ("episodes", count, info.get("total_episodes")),
         ("frames", frames, info.get("total_frames")),
     ]:
         if told is not None and found != told:
             raise ValueError(f"{folder} is incomplete: it holds {found} {what}, its info.json tells of {told}")
-    return episodes
+
+
+def read_episode(path: str | Path, split: str | None = None, number: int = 0) -> Episode:
+    """Read one episode.
+
+    Args:
+        path, split: as `read` takes them.
+        number: of the episode, from 0.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read`, or there is no episode of that number.
+    """
+    folder = dataset_folder(path, split)
+    count = read_info(folder).get("total_episodes")
+    if number >= 0 and (count is None or number < count):
+        for episode in islice(episodes(folder), number, None):
+            return episode
+    raise ValueError(f"episode must be from 0{'' if count is None else f' to {count - 1}'} in {folder}, got {number}")
 
 
 def dataset_folder(path: str | Path, split: str | None = None) -> Path:
@@ -64,6 +91,8 @@ def dataset_folder(path: str | Path, split: str | None = None) -> Path:
         return root / split
     if (root / "meta" / "info.json").is_file():
         return root
+    if len(splits) == 1:
+        return root / splits[0]
     if splits:
         raise ValueError(f"{root} holds the splits {', '.join(splits)}: name one")
     raise ValueError(f"{root} is not a LeRobot dataset: it has no meta/info.json")
@@ -84,6 +113,16 @@ def read_info(folder: Path) -> dict:
     if version.lstrip("v").split(".")[0] != "3":
         raise ValueError(f"{folder} is a LeRobot dataset of version {version}; this reads version v3.x")
     return info
+
+
+def read_config(folder: Path) -> DockingConfig:
+    """The configuration of the environment that a dataset was recorded in; the default one if none lies with it.
+
+    Args:
+        folder: of the dataset, or of a split of it.
+    """
+    kept = [file for file in (folder / "config.toml", folder.parent / "config.toml") if file.is_file()]
+    return load_config(kept[0]) if kept else load_config()
 
 
 def read_statistics(path: str | Path, split: str | None = "train") -> Statistics:

@@ -2,15 +2,17 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from owm_envs.config import DockingConfig
 from owm_envs.datasets.pieces import Piece, Pieces, arrow, from_arrow
 from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, Feature, features_of, part_of
 from owm_envs.datasets.statistics import (
@@ -22,7 +24,8 @@ from owm_envs.datasets.statistics import (
     pixel_statistics,
     united,
 )
-from owm_envs.files import write_atomically
+from owm_envs.episode import Episode
+from owm_envs.files import remove, write_atomically
 from owm_envs.station.ports import PORT_NAMES
 from owm_envs.video import CODEC, join_videos, pixel_format
 
@@ -164,8 +167,22 @@ def _exact_quantiles(folder: Path, statistics: Statistics) -> Iterator[tuple[str
             yield name, exact_quantiles(partial(rows, name))
 
 
-def write_meta(folder: Path, written: Written, statistics: Statistics, fps: float, parts: Mapping[str, Any]) -> None:
-    """Write what makes the folder of a split a dataset, with the statistics to normalise by."""
+def write_meta(
+    folder: Path,
+    written: Written,
+    statistics: Statistics,
+    fps: float,
+    parts: Mapping[str, Any],
+    about: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write what makes the folder of a split a dataset.
+
+    Args:
+        folder, fps, parts: as `write_split` takes them.
+        written: what it gave.
+        statistics: to normalise by.
+        about: what else info.json is to tell.
+    """
     meta = folder / "meta"
     write_parquet([_task_table()], meta / "tasks.parquet")
     write_json(
@@ -190,6 +207,7 @@ def write_meta(folder: Path, written: Written, statistics: Statistics, fps: floa
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH if any(feature.is_video for feature in features.values()) else None,
             "features": {name: _described(feature, whole) for name, feature in features.items()},
+            **about,
         },
         meta / "info.json",
     )
@@ -210,6 +228,40 @@ def _described(feature: Feature, fps: float) -> dict[str, Any]:
             "has_audio": False,
         }
     return described
+
+
+class Recorder:
+    """Takes flights that are at hand, one after another, for a dataset of them."""
+
+    def __init__(self, pieces: Pieces, fps: float):
+        self._pieces, self._fps, self.episodes = pieces, fps, 0
+
+    def write(self, episodes: Iterable[Episode]) -> None:
+        """Append whole episodes."""
+        for episode in episodes:
+            self._pieces.put(self.episodes, episode, self._fps)
+            self.episodes += 1
+
+
+@contextmanager
+def recording(folder: Path, config: DockingConfig, policy: str | None = None) -> Iterator[Recorder]:
+    """Write flights that are at hand as a dataset of one split, in place of one that is there.
+
+    Once left, with at least one episode in it, the folder is a dataset.
+
+    Args:
+        folder: to make; whatever lies there goes.
+        config: of the environment that they were flown in.
+        policy: who flew, if it is none of `POLICY_NAMES`; kept in the folder's info.json.
+    """
+    remove(folder)
+    fps, pieces = 1 / config.decision_dt, Pieces(folder / "pieces")
+    recorder = Recorder(pieces, fps)
+    yield recorder
+    write_atomically(folder / "config.toml", lambda file: file.write(config.to_toml()), text=True)
+    split = write_split(folder, pieces, range(recorder.episodes), fps, {})
+    write_meta(folder, split, split.statistics, fps, {}, {} if policy is None else {"policy": policy})
+    remove(pieces.folder)
 
 
 def write_json(value: dict, path: Path) -> None:
