@@ -25,6 +25,8 @@ PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "out
 RUFF = "ruff==0.17.6"
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 """Names that tests look for in the path, unless `OWM_CHROMIUM` says where it is."""
+CLIENTS = ("==0.34.0", ">=2")
+"""Of the Hugging Face hub: the oldest that pyproject.toml allows, and the newest."""
 
 TEST_ENVIRONMENT = {
     # Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete.
@@ -160,6 +162,15 @@ def browser(session: nox.Session) -> None:
     if not (os.environ.get("OWM_CHROMIUM") or any(map(shutil.which, CHROMIUM))):
         session.run("playwright", "install", "chromium")
     session.run("pytest", "outofthisworldmodel-envs/tests_browser", *session.posargs, env=_test_environment(session))
+
+
+@nox.session
+@nox.parametrize("client", CLIENTS)
+def hub(session: nox.Session, client: str) -> None:
+    """Test push and download with the oldest and the newest client of the Hugging Face hub."""
+    _install(session, *_editable("test"), f"huggingface-hub{client}")
+    tests = ("outofthisworldmodel-envs/tests/test_dataset_hub.py", "outofthisworldmodel/tests/test_hub.py")
+    session.run("pytest", *tests, *session.posargs, env=_test_environment(session))
 
 
 @nox.session

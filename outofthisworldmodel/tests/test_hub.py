@@ -1,4 +1,4 @@
-"""World models by hub id, from a hub on this machine, with the hub's real client."""
+"""World models and what they train on by hub id, from a hub on this machine, with the hub's real client."""
 
 import json
 
@@ -15,10 +15,14 @@ from owm.catalogue.policies import content_digest, kind_of, load_policy
 from owm.catalogue.predictors import evaluate_prediction
 from owm.checkpoint import CheckpointError, save_world_model
 from owm.cli import main
+from owm.data.recordings import training_episodes
 from owm.model.config import ModelConfig
 from owm.motion.linear import LinearMap
 from owm_envs import hub
 from owm_envs.config import load_config
+from owm_envs.datasets.generate import Request, generate
+from owm_envs.datasets.manifest import write_manifest
+from owm_envs.datasets.publish import repositories
 from owm_envs.files import FolderTaken
 
 
@@ -180,3 +184,19 @@ def test_paths_stay_paths(tmp_path, monkeypatch):
     assert hub.parse("user/model") == ("user/model", None) and hub.parse("user/model@v1.0") == ("user/model", "v1.0")
     for path in ("runs/typo", "a/b/c", "/user/model", "./model", "model", "../user/model"):
         assert hub.parse(path) is None and local_folder(path).as_posix() == (path.removeprefix("./"))
+
+
+def test_a_model_is_trained_on_a_dataset_of_the_hub(local_hub, tmp_path, monkeypatch):
+    run = tmp_path / "set"
+    generate(run, load_config(fidelity="iss", noise="cooperative", horizon=12.0), Request(2400, 200, 3, 0.5, 24))
+    write_manifest(run)
+    train, val = (hub.push(repository) for repository in repositories(run, "user/set"))
+    monkeypatch.chdir(tmp_path)
+    one, other = training_episodes("user/set")[0], training_episodes(run)[0]
+    assert one.steps == other.steps and (one.view == other.view).all()
+    small = "--width 8 --heads 2 --window 4 --head-width 8 --history-length 4 --rollouts 1.0 2 --validation-horizon 4"
+    options = f"--preset ci --steps 2 --batch 2 --validation-windows 4 --chunk 2 --save-every 2 {small}"
+    main(["train", "--data", "user/set", "--out", str(tmp_path / "mine"), *options.split()])
+    (corpus,) = json.loads((tmp_path / "mine/model/config.json").read_text())["about"]["corpus"]
+    assert corpus["name"] == f"user/set-train@{train.commit}, user/set-val@{val.commit}"
+    assert corpus["fidelity"] == "iss" and corpus["noise"]["position"] == 0.05

@@ -153,6 +153,7 @@ def fetch(
     kind: Kind,
     only: Collection[str] | None = None,
     check: Callable[[Path], None] = lambda folder: None,
+    again: bool = False,
 ) -> Fetched:
     """Fetch a repository into the cache as it is at one commit; from there if the hub cannot be reached.
 
@@ -161,7 +162,8 @@ def fetch(
     Args:
         revision: branch, tag or commit; the main branch if not given.
         only: names of the files to fetch; all if not given.
-        check: looks at the folder once, after the hub's own hashes have been checked.
+        check: looks at the folder once, after the hub's own hashes have been checked, and raises `ValueError`.
+        again: let it look at what the cache has already, too, and fetch that anew if it was damaged.
 
     Raises:
         NoRepository, Unreachable, HubError: as they say.
@@ -169,21 +171,30 @@ def fetch(
     """
     commit = _resolved(name, revision, kind)
     folder = _cache(name, kind) / commit
+    if again and folder.is_dir():
+        try:
+            check(folder)
+        except ValueError:
+            remove(folder)
     if not folder.is_dir():
-        listed = _tree(name, commit, kind)
-        snapshot = _downloaded(name, commit, kind, only)
-        wanted = [path for path in listed if path != ".gitattributes" and (only is None or path in only)]
-        for path in wanted:
-            if not _matches(snapshot / path, listed[path]):
-                _forget(snapshot / path)
-                raise HubError(
-                    name,
-                    f"gave {path} with another hash than it lists: damaged on the way, or changed there; "
-                    "the same command fetches it again",
-                )
-        contents: dict[str, Path | bytes] = {path: snapshot / path for path in wanted}
-        keep(contents | {SOURCE: source_note(kind, {name: commit})}, folder, check)
+        files = _checked(name, commit, kind, only)
+        keep(files | {SOURCE: source_note(kind, {name: commit})}, folder, check)
     return Fetched(folder, name, commit)
+
+
+def _checked(name: str, commit: str, kind: Kind, only: Collection[str] | None) -> dict[str, Path | bytes]:
+    """The files of a commit in the client's own cache, each as the hub lists it."""
+    listed = _tree(name, commit, kind)
+    wanted = [path for path in listed if path != ".gitattributes" and (only is None or path in only)]
+    wrong: list[str] = []
+    for _ in range(2):  # the cache may have been damaged
+        snapshot = _downloaded(name, commit, kind, only)
+        wrong = [path for path in wanted if not _matches(snapshot / path, listed[path])]
+        if not wrong:
+            return {path: snapshot / path for path in wanted}
+        for path in wrong:
+            _forget(snapshot / path)
+    raise HubError(name, f"does not give {wrong[0]} with the hash that it lists: damaged on the way, or changed there")
 
 
 def source_note(kind: Kind, commits: Mapping[str, str]) -> bytes:
@@ -252,7 +263,11 @@ def deliver(
         claim.note()
         for path in missing:
             _place(contents[path], partial / path)
-        check(partial)
+        try:
+            check(partial)
+        except ValueError:
+            remove(partial)
+            raise
     publish(partial, out)
     return out, False
 
