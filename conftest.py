@@ -1,9 +1,16 @@
-"""What the tests of all three packages share: JAX's strictness flags, to be set as a caller would."""
+"""What the tests of all three packages share: JAX's strictness flags, to be set as a caller would; a local hub."""
 
 import contextlib
+import sys
+from pathlib import Path
 
 import jax
 import pytest
+
+# Tests are imported by path, not from a package, so their common helper has to be made findable.
+sys.path.insert(0, str(Path(__file__).parent / "tests"))
+
+from local_hub import LocalHub
 
 STRICT = {
     "numpy_dtype_promotion": "strict",
@@ -31,3 +38,23 @@ def jax_flags():
                 jax.config.update(f"jax_{name}", value)
 
     return flags
+
+
+@pytest.fixture
+def local_hub(tmp_path, monkeypatch):
+    """A hub on this machine, which the real client takes for the hub; its cache is the test's own."""
+    constants = pytest.importorskip("huggingface_hub.constants")
+    hub = LocalHub()
+    # The client reads its settings when it is imported; these are where it keeps them.
+    monkeypatch.setattr(constants, "ENDPOINT", hub.address)
+    monkeypatch.setattr(
+        constants, "HUGGINGFACE_CO_URL_TEMPLATE", hub.address + "/{repo_id}/resolve/{revision}/{filename}"
+    )
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache" / "hub"))
+    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "token"))
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    # Newer clients send large files by Xet alone, where its package is installed and not switched off.
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
+    monkeypatch.delenv("HF_TOKEN", raising=False)
+    yield hub
+    hub.close()

@@ -12,7 +12,7 @@ FLOORS = {
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view"},
         {"shell", "station", "claims"},
-        {"config"},
+        {"config", "hub"},
         {"dynamics"},
         {"task"},
         {"camera"},

@@ -131,6 +131,54 @@ def render(
         print(file)
 
 
+def push(
+    run: Annotated[Path, tyro.conf.Positional],
+    name: Annotated[str, tyro.conf.Positional],
+    together: bool = False,
+    private: bool = False,
+    dry_run: bool = False,
+) -> None:
+    """Publish a recorded dataset on the Hugging Face hub: USER/NAME-train and USER/NAME-val.
+
+    Each is a LeRobot dataset of its own, with a card and the tag that LeRobot looks for. What is there already is not
+    sent again, so that the same command goes on where it was interrupted. Log in with `hf auth login`.
+
+    Args:
+        run: Folder of a dataset, as `owm-envs generate` makes it; one that differs from its manifest is refused.
+        name: user/name.
+        together: One repository, user/name, with the splits in folders.
+        private: Make new repositories private.
+        dry_run: List repositories, tags, files and sizes; send nothing.
+    """
+    from owm_envs import hub
+    from owm_envs.datasets.publish import repositories
+
+    planned = repositories(run, name, together=together)
+    resumable()
+    for repository in planned:
+        print(repository.listing() if dry_run else hub.push(repository, private=private))
+
+
+def download(name: Annotated[str, tyro.conf.Positional], out: Path, revision: str | None = None) -> None:
+    """Copy a dataset of the Hugging Face hub to a folder, at one commit, every file checked.
+
+    Where there is no repository user/name, user/name-train and user/name-val are taken for its splits. A killed call is
+    resumed by the same command. What has been fetched once comes from the cache where the hub cannot be reached.
+
+    Args:
+        name: user/name.
+        out: Folder to make.
+        revision: Branch, tag or commit; the main branch by default.
+    """
+    import sys
+
+    from owm_envs.datasets.fetch import download as fetch
+
+    resumable()
+    for repository, commit in fetch(name, out, revision, lambda text: print(text, file=sys.stderr)).items():
+        print(f"{out}: {repository} at {commit}")
+
+
 def show(config: Annotated[Path | None, tyro.conf.Positional] = None, preset: str = "data") -> None:
     """Print a complete configuration as TOML, each number with its unit and bounds.
 
@@ -306,6 +354,8 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     app = tyro.extras.SubcommandApp()
     app.command(generate)
     app.command(render)
+    app.command(push)
+    app.command(download)
     app.command(config, name="config", help="Print or check a configuration.")
     app.command(ports)
     app.command(station, name="station", help="The station's mesh, its picture, and boxes from a mesh of your own.")

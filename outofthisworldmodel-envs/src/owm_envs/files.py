@@ -6,7 +6,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Collection, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 JOURNAL = ".publishing"
@@ -82,6 +82,18 @@ def output_folder(path: str | os.PathLike) -> Path:
     if not os.access(there, os.W_OK | os.X_OK):
         raise PermissionError(f"{there} is not writable; choose another folder to write to")
     return folder
+
+
+def inner_path(name: str) -> PurePosixPath:
+    """A path that was written elsewhere, "/" between its parts, once it is known to stay inside a folder everywhere.
+
+    Raises:
+        ValueError: it is absolute, goes up, or means something else on another system.
+    """
+    parts = name.split("/")
+    if not name or any(part in ("", ".", "..") for part in parts) or re.search(r"[\\:\0]", name):
+        raise ValueError(f"the path {name!r} may lead out of its folder: refused")
+    return PurePosixPath(name)
 
 
 class FolderTaken(FileExistsError, ValueError):

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from owm_envs.datasets.fetch import local_dataset
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
 from owm_envs.datasets.schema import FEATURES, episode_from_columns, part_columns
 from owm_envs.datasets.statistics import Statistics
@@ -21,7 +22,8 @@ def read(path: str | Path, split: str | None = None) -> list[Episode]:
 
     Args:
         path: folder of a LeRobot v3 dataset written by `owm-envs generate` (vectors as written, bit for bit) or with
-            the columns of the paper authors' published datasets; or the folder that holds its splits.
+            the columns of the paper authors' published datasets; or the folder that holds its splits; or the name of
+            one on the hub, as `local_dataset` takes it.
         split: name of the split's folder below `path`; None if `path` itself is the dataset.
 
     Raises:
@@ -50,7 +52,7 @@ def dataset_folder(path: str | Path, split: str | None = None) -> Path:
         FileNotFoundError: there is none.
         ValueError: it is no LeRobot dataset, or holds several and none was named.
     """
-    root = Path(path)
+    root = local_dataset(path)
     if not root.is_dir():
         partial = root.with_name(root.name + ".partial")
         hint = f"; {partial} holds an unfinished one" if partial.is_dir() else ""
