@@ -47,9 +47,9 @@ def local_hub(tmp_path, monkeypatch):
     hub = LocalHub()
     # The client reads its settings when it is imported; these are where it keeps them.
     monkeypatch.setattr(constants, "ENDPOINT", hub.address)
-    monkeypatch.setattr(
-        constants, "HUGGINGFACE_CO_URL_TEMPLATE", hub.address + "/{repo_id}/resolve/{revision}/{filename}"
-    )
+    template = hub.address + "/{repo_id}/resolve/{revision}/{filename}"
+    for module in (constants, pytest.importorskip("huggingface_hub.file_download")):  # older clients copy it
+        monkeypatch.setattr(module, "HUGGINGFACE_CO_URL_TEMPLATE", template, raising=False)
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache" / "hub"))
     monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "token"))
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)

@@ -23,6 +23,8 @@ nox.options.sessions = ["lint", "tests"]
 ROOT = Path(__file__).parent.resolve()
 PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "outofthisworldmodel": "owm"}
 RUFF = "ruff==0.17.6"
+CLIENTS = ("==0.34.0", ">=2")
+"""Of the Hugging Face hub: the oldest that pyproject.toml allows, and the newest."""
 
 TEST_ENVIRONMENT = {
     # Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete.
@@ -149,6 +151,15 @@ def lerobot(session: nox.Session) -> None:
         session.run("owm-envs", "generate", *arguments, "--out", dataset)
         offline = {"OWM_LEROBOT_DATASET": dataset, "HF_HUB_OFFLINE": "1"}
         session.run("pytest", "outofthisworldmodel-envs/tests_lerobot", *session.posargs, env=offline)
+
+
+@nox.session
+@nox.parametrize("client", CLIENTS)
+def hub(session: nox.Session, client: str) -> None:
+    """Test push and download with the oldest and the newest client of the Hugging Face hub."""
+    _install(session, *_editable("test"), f"huggingface-hub{client}")
+    tests = ("outofthisworldmodel-envs/tests/test_dataset_hub.py", "outofthisworldmodel/tests/test_hub.py")
+    session.run("pytest", *tests, *session.posargs, env=_test_environment(session))
 
 
 @nox.session

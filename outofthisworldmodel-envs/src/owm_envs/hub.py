@@ -30,10 +30,12 @@ _PATIENCE = 10.0
 """Seconds until a hub that does not answer counts as out of reach."""
 _REPOSITORY = re.compile(r"(?P<name>\w[\w.-]*/\w[\w.-]*)(@(?P<revision>\w[\w./-]*))?")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
+_ATTEMPTS = 3
+"""At a file whose connection breaks, beside those that the client makes by itself."""
+_BROKEN = {"ChunkedEncodingError", "ContentDecodingError", "IncompleteRead", "ProtocolError", "ReadError"}
 _UNREACHABLE = {
-    *("ConnectError", "ConnectionError", "ConnectTimeout", "OfflineModeIsEnabled", "LocalEntryNotFoundError"),
-    *("NetworkError", "ProtocolError", "RemoteProtocolError", "Timeout", "TimeoutException", "TransportError"),
-    *("ChunkedEncodingError", "SSLError"),
+    *("ConnectError", "ConnectionError", "LocalEntryNotFoundError", "NetworkError", "OfflineModeIsEnabled"),
+    *("SSLError", "Timeout", "TimeoutException", "TransportError"),
 }
 """Names of errors, by whichever HTTP client the hub's own stands on."""
 
@@ -66,6 +68,10 @@ class Hashes(NamedTuple):
     """Of large files."""
     blob: str
     """Git's SHA-1 of the others."""
+
+
+class Broken(Unreachable):
+    """The connection ended in the middle of a file."""
 
 
 class Fetched(NamedTuple):
@@ -147,6 +153,7 @@ def fetch(
     kind: Kind,
     only: Collection[str] | None = None,
     check: Callable[[Path], None] = lambda folder: None,
+    again: bool = False,
 ) -> Fetched:
     """Fetch a repository into the cache as it is at one commit; from there if the hub cannot be reached.
 
@@ -155,7 +162,8 @@ def fetch(
     Args:
         revision: branch, tag or commit; the main branch if not given.
         only: names of the files to fetch; all if not given.
-        check: looks at the folder once, after the hub's own hashes have been checked.
+        check: looks at the folder once, after the hub's own hashes have been checked, and raises `ValueError`.
+        again: let it look at what the cache has already, too, and fetch that anew if it was damaged.
 
     Raises:
         NoRepository, Unreachable, HubError: as they say.
@@ -163,21 +171,30 @@ def fetch(
     """
     commit = _resolved(name, revision, kind)
     folder = _cache(name, kind) / commit
+    if again and folder.is_dir():
+        try:
+            check(folder)
+        except ValueError:
+            remove(folder)
     if not folder.is_dir():
-        listed = _tree(name, commit, kind)
-        snapshot = _downloaded(name, commit, kind, only)
-        wanted = [path for path in listed if path != ".gitattributes" and (only is None or path in only)]
-        for path in wanted:
-            if not _matches(snapshot / path, listed[path]):
-                _forget(snapshot / path)
-                raise HubError(
-                    name,
-                    f"gave {path} with another hash than it lists: damaged on the way, or changed there; "
-                    "the same command fetches it again",
-                )
-        contents: dict[str, Path | bytes] = {path: snapshot / path for path in wanted}
-        keep(contents | {SOURCE: source_note(kind, {name: commit})}, folder, check)
+        files = _checked(name, commit, kind, only)
+        keep(files | {SOURCE: source_note(kind, {name: commit})}, folder, check)
     return Fetched(folder, name, commit)
+
+
+def _checked(name: str, commit: str, kind: Kind, only: Collection[str] | None) -> dict[str, Path | bytes]:
+    """The files of a commit in the client's own cache, each as the hub lists it."""
+    listed = _tree(name, commit, kind)
+    wanted = [path for path in listed if path != ".gitattributes" and (only is None or path in only)]
+    wrong: list[str] = []
+    for _ in range(2):  # the cache may have been damaged
+        snapshot = _downloaded(name, commit, kind, only)
+        wrong = [path for path in wanted if not _matches(snapshot / path, listed[path])]
+        if not wrong:
+            return {path: snapshot / path for path in wanted}
+        for path in wrong:
+            _forget(snapshot / path)
+    raise HubError(name, f"does not give {wrong[0]} with the hash that it lists: damaged on the way, or changed there")
 
 
 def source_note(kind: Kind, commits: Mapping[str, str]) -> bytes:
@@ -246,7 +263,11 @@ def deliver(
         claim.note()
         for path in missing:
             _place(contents[path], partial / path)
-        check(partial)
+        try:
+            check(partial)
+        except ValueError:
+            remove(partial)
+            raise
     publish(partial, out)
     return out, False
 
@@ -377,8 +398,15 @@ def _downloaded(name: str, commit: str, kind: Kind, only: Collection[str] | None
     from huggingface_hub import snapshot_download
 
     patterns = {"allow_patterns": None if only is None else list(only), "ignore_patterns": [".gitattributes"]}
-    with _in_words(name, commit):
-        return Path(snapshot_download(name, repo_type=kind, revision=commit, **patterns))
+
+    def once() -> Path:
+        with _in_words(name, commit):
+            return Path(snapshot_download(name, repo_type=kind, revision=commit, **patterns))
+
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(Broken):  # what had arrived is kept
+            return once()
+    return once()
 
 
 def _matches(content: Path | bytes, listed: Hashes) -> bool:
@@ -466,8 +494,8 @@ def _told(name: str, revision: str | None, error: BaseException) -> OSError:
         return Unreachable(name, f"cannot be reached: it answers {status}")
     if "FileMetadataError" in kinds:
         return HubError(name, "answers like none: check proxy, firewall and HF_ENDPOINT")
-    if "Consistency check" in str(error):
-        return Unreachable(name, "broke the connection in the middle of a file; the same command goes on from there")
+    if _BROKEN & kinds or "Consistency check" in str(error):
+        return Broken(name, "broke the connection in the middle of a file; the same command goes on from there")
     if _UNREACHABLE & kinds:
         return Unreachable(name, "cannot be reached")
     return HubError(name, f"could not be used: {type(error).__name__}: {plain(error)[:200]}")

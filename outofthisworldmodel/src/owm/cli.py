@@ -132,7 +132,7 @@ def evaluate_prediction(
     Args:
         models: Folders of checkpoints, pretrained, user/name on the hub, or constant-velocity, least-squares,
             least-squares-action-only, ekf, exact.
-        data: Datasets to predict.
+        data: Datasets to predict, folders or user/name on the hub.
         split: Their split; by default the flights that training sets aside.
         windows: Windows of behaviour and of planner-style flights in each dataset.
         spread_windows: Windows to draw samples in.
@@ -161,6 +161,44 @@ def presets() -> None:
     from owm.commands.run import presets as run
 
     run()
+
+
+def push(
+    checkpoint: Annotated[str, tyro.conf.Positional],
+    name: Annotated[str, tyro.conf.Positional],
+    private: bool = False,
+    dry_run: bool = False,
+) -> None:
+    """Publish a checkpoint on the Hugging Face hub, with a card; log in with `hf auth login`.
+
+    Args:
+        checkpoint: Its folder, or that of the run that made it.
+        name: user/name.
+        private: Make a new repository private.
+        dry_run: List files and sizes; send nothing.
+    """
+    from owm.catalogue.hub import repository
+    from owm_envs.hub import push as send
+
+    planned = repository(checkpoint, name)
+    resumable()
+    print(planned.listing() if dry_run else send(planned, private=private))
+
+
+def download(name: Annotated[str, tyro.conf.Positional], out: Path, revision: str | None = None) -> None:
+    """Copy a checkpoint of the Hugging Face hub to a folder, at one commit, every file checked.
+
+    What takes a checkpoint's folder takes user/name as well, and keeps it in a cache.
+
+    Args:
+        name: user/name.
+        out: Folder to make.
+        revision: Branch, tag or commit; the main branch by default.
+    """
+    from owm.catalogue.hub import download as fetch
+
+    resumable()
+    print(f"{out}: {name} at {fetch(name, out, revision)}")
 
 
 def demo(
@@ -200,7 +238,7 @@ def _train(preset: str):
         """Train a world model; a killed run is resumed by the same command.
 
         Args:
-            data: Dataset, as `owm-envs generate` writes it, or several to train on together.
+            data: Dataset, as `owm-envs generate` writes it or user/name on the hub, or several to train on together.
             out: Folder for the checkpoint.
             preset: Named configuration that the other flags change.
             wandb: Project of Weights & Biases to send the metrics to as well.
@@ -291,6 +329,8 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     app.command(_train(_option(arguments, "--preset")), name="train")
     app.command(_train_ppo(_option(arguments, "--preset")), name="train-ppo")
     app.command(presets)
+    app.command(push)
+    app.command(download)
     app.command(demo)
     return app
 

@@ -161,7 +161,7 @@ def _layout(name: str | None, split: str | None) -> str:
 
 def _ports(config: DockingConfig, summary: Mapping[str, Any]) -> Iterator[str]:
     """How many flights of each split went to which port, and whether training may see it."""
-    yield "| port | " + "".join(f" flights of {split} |" for split in summary) + " is for |"
+    yield "| port |" + "".join(f" flights of {split} |" for split in summary) + " is for |"
     yield "|---|" + "---|" * (len(summary) + 1)
     for port in PORTS:
         if port.name in config.ports:

@@ -23,14 +23,20 @@ def local_dataset(source: str | os.PathLike) -> Path:
         source: a folder, or `user/name` with an optional `@revision` (branch, tag or commit).
 
     Raises:
-        NoRepository, Unreachable, HubError: as `owm_envs.hub.fetch`.
+        FileNotFoundError: it is neither, or the hub does not give it.
         ValueError: what came differs from the manifest that came with it.
         ImportError: the hub's client is not installed.
     """
     named = hub.parse(source)
     if named is None:
         return Path(source)
-    parts = _fetched(*named)
+    try:
+        parts = _fetched(*named)
+    except hub.HubError as error:
+        told = (
+            f"there is no dataset at {os.fspath(source)}: neither a folder nor found on the hub, which {error.reason}"
+        )
+        raise FileNotFoundError(told) from error
     if "" in parts:
         return parts[""].folder
     commits = "-".join(part.commit for part in parts.values())
@@ -64,7 +70,7 @@ def download(
         NoRepository, Unreachable, HubError, ImportError, OSError: as `owm_envs.hub.fetch` and `deliver`.
     """
     name, _, at = source.partition("@")
-    parts = _fetched(hub.checked_name(name), at or revision)
+    parts = _fetched(hub.checked_name(name), at or revision, again=True)
     commits, contents = _commits(parts), _contents(parts)
     folder, was_there = hub.deliver(contents, out, "dataset", commits, _check)
     if was_there:
@@ -83,13 +89,14 @@ def origin(folder: str | os.PathLike) -> str | None:
         return None
 
 
-def _fetched(name: str, revision: str | None) -> dict[str, Fetched]:
+def _fetched(name: str, revision: str | None, again: bool = False) -> dict[str, Fetched]:
     """The repositories of a dataset by the folders they make: "" for one that has everything, else the splits."""
+    how = {"kind": "dataset", "check": _check, "again": again}
     try:
-        return {"": hub.fetch(name, revision, kind="dataset", check=_check)}
+        return {"": hub.fetch(name, revision, **how)}
     except (hub.NoRepository, hub.Unreachable) as error:
         try:
-            return {split: hub.fetch(f"{name}-{split}", revision, kind="dataset", check=_check) for split in SPLITS}
+            return {split: hub.fetch(f"{name}-{split}", revision, **how) for split in SPLITS}
         except (hub.NoRepository, hub.Unreachable) as other:
             missing = isinstance(error, hub.NoRepository) and isinstance(other, hub.Unreachable)
             raise (other if missing else error) from None

@@ -22,11 +22,7 @@ class Path(NamedTuple):
 
 
 def flights_picture(paths: Sequence[Path]) -> bytes:
-    """A PNG of the station's boxes and ports, and of flights, each in its port's colour.
-
-    Args:
-        paths: the flights.
-    """
+    """Draw the station's boxes and ports, and flights, each in its port's colour; as a PNG."""
     import cv2
 
     from owm_envs.camera import overlay
@@ -34,7 +30,7 @@ def flights_picture(paths: Sequence[Path]) -> bytes:
     from owm_envs.camera.overlay import Sheet
     from owm_envs.camera.schematic import COLOURS
     from owm_envs.camera.views import ZENITH, aimed, camera
-    from owm_envs.station import hull_boxes
+    from owm_envs.station import PORT_NAMES, hull_boxes
 
     way = -np.asarray(_FROM) / np.linalg.norm(_FROM)
     right = np.cross(way, ZENITH) / np.linalg.norm(np.cross(way, ZENITH))
@@ -52,11 +48,13 @@ def flights_picture(paths: Sequence[Path]) -> bytes:
     image = np.empty((height, width, 3), np.uint8)
     image[:] = overlay.BACKGROUND
     sheet = Sheet(image, np.full((height, width), np.inf), stand, Pose(stand.position, axes))
-    overlay.boxes(sheet, boxes, strength=0.6)
+    overlay.boxes(sheet, boxes, overlay.MUTED, strength=0.35)
     colours = {path.port: COLOURS[path.port % len(COLOURS)] for path in paths}
     for path in paths:
         overlay.curve(sheet, path.positions[:: max(1, len(path.positions) // 400)], colours[path.port], strength=0.8)
-    overlay.ports(sheet, colours, names=True)
+    overlay.ports(sheet, colours)
+    for row, (port, colour) in enumerate(sorted(colours.items())):
+        overlay.write(image, PORT_NAMES[port], (16, 28 + 20 * row), 0.46, colour)
     overlay.compass(sheet)
     overlay.scale_bar(sheet)
     return cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()

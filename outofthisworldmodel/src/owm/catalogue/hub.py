@@ -1,36 +1,24 @@
-"""Checkpoints on the Hugging Face hub: three files of numbers and text, nothing that executes.
+"""Checkpoints on the Hugging Face hub: three files of numbers and text, nothing that executes."""
 
-To publish one, `hf upload USER/NAME FOLDER`, the hub's own command.
-"""
-
+import json
 import os
 import re
 from collections.abc import Iterable
+from hashlib import sha256
 from pathlib import Path
 
-from owm.checkpoint import NoCheckpointError
+from owm.catalogue.card import model_card
+from owm.checkpoint import CheckpointError, NoCheckpointError
+from owm_envs import hub
+from owm_envs.hub import Repository
 from owm_envs.words import unknown
 
 CONTENTS = ("config.json", "statistics.json", "weights.safetensors")
-"""The files of a checkpoint; whatever else a repository holds is not fetched."""
+"""The files of a checkpoint."""
+CARD = "README.md"
+"""Comes along; whatever else a repository holds is not fetched."""
 PRETRAINED = Path(__file__).parents[1] / "pretrained"
 """Where the checkpoint lies that comes with the package, if one does."""
-_OUTPUT = "runs"
-"""The folder that commands write to unless told otherwise: what is missing there is on no hub."""
-_MISSING = {
-    "RepositoryNotFoundError": "which has no such repository",
-    "GatedRepoError": "which keeps that repository for those who asked for it",
-    "RevisionNotFoundError": "which has no such revision of that repository",
-    "LocalEntryNotFoundError": "which cannot be reached",
-}
-_REPOSITORY = re.compile(r"(?P<name>\w[\w.-]*/\w[\w.-]*)(@(?P<revision>\w[\w./-]*))?")
-
-
-def is_repository(source: str | os.PathLike) -> bool:
-    """Whether a source is to be looked for on the hub: `user/name` or `user/name@revision`, and no local path."""
-    text = os.fspath(source)
-    local = os.path.exists(text) or Path(text).parent.is_dir() or Path(text).parts[:1] == (_OUTPUT,)
-    return _REPOSITORY.fullmatch(text) is not None and not local
 
 
 def checkpoint_folder(source: str | os.PathLike, what: str = "world model", names: Iterable[str] = ()) -> Path:
@@ -69,18 +57,80 @@ def local_folder(source: str | os.PathLike) -> Path:
     """
     if os.fspath(source) == PRETRAINED.name:
         return PRETRAINED
-    if not is_repository(source):
+    named = hub.parse(source)
+    if named is None:
         return Path(source)
     try:
-        from huggingface_hub import snapshot_download
-    except ImportError as error:
-        raise ImportError(
-            f"there is no folder {os.fspath(source)!r}, and to look for it on the hub "
-            "needs: pip install 'outofthisworldmodel[hub]'"
-        ) from error
-    parts = _REPOSITORY.fullmatch(os.fspath(source))
+        return hub.fetch(*named, kind="model", only=(*CONTENTS, CARD)).folder
+    except hub.HubError as error:
+        raise NoCheckpointError(source, f"neither a folder nor found on the hub, which {error.reason}") from error
+
+
+def download(source: str, out: str | os.PathLike, revision: str | None = None) -> str:
+    """Copy a checkpoint of the hub to a folder, whole or not at all; a killed call is resumed by the same one.
+
+    Args:
+        source: `user/name` with an optional `@revision`.
+        out: new or empty, or one that holds this very checkpoint.
+        revision: branch, tag or commit, if `source` names none; the main branch by default.
+
+    Returns:
+        The commit that it is of.
+
+    Raises:
+        ValueError: `source` is no repository's name.
+        CheckpointError: the repository holds no checkpoint, or a damaged one.
+        FolderTaken: `out` holds something else.
+        NoRepository, Unreachable, HubError, ImportError, OSError: as `owm_envs.hub.fetch` and `deliver`.
+    """
+    name, _, at = source.partition("@")
+    fetched = hub.fetch(hub.checked_name(name), at or revision, kind="model", only=(*CONTENTS, CARD))
+    checked_header(fetched.folder)
+    contents = {file.name: file for file in fetched.folder.iterdir() if file.name != hub.SOURCE}
+    hub.deliver(contents, out, "model", {name: fetched.commit}, checked_header)
+    return fetched.commit
+
+
+def repository(source: str | os.PathLike, name: str) -> Repository:
+    """What to push of a checkpoint, once it is known to be whole: nothing is sent.
+
+    Args:
+        source: as `checkpoint_folder` takes it.
+        name: `user/name`.
+
+    Raises:
+        CheckpointError: there is none, it is damaged, or its run is not finished.
+        ValueError: as `checkpoint_folder`, or `name` is no repository's name.
+    """
     try:
-        return Path(snapshot_download(parts["name"], revision=parts["revision"], allow_patterns=list(CONTENTS)))
-    except Exception as error:  # which of its HTTP client's own exceptions come is no part of the hub's interface
-        reason = _MISSING.get(type(error).__name__, "which cannot be reached")
-        raise NoCheckpointError(source, f"neither a folder nor found on the hub, {reason}") from error
+        folder = checkpoint_folder(source)
+    except NoCheckpointError:
+        if not (Path(source) / "run.json").is_file():
+            raise
+        raise CheckpointError(f"{source} has no model yet: the same `owm train` again finishes it") from None
+    header = checked_header(folder)
+    files: dict[str, Path | bytes] = {each: folder / each for each in CONTENTS if (folder / each).is_file()}
+    files[CARD] = model_card(header, hub.checked_name(name), folder.parent / "metrics.jsonl").encode()
+    return Repository(name, "model", files, f"Checkpoint of a {header['kind']} model")
+
+
+def checked_header(folder: Path) -> dict:
+    """The `config.json` of a checkpoint of any kind, once the other files are known to be those that it tells of.
+
+    Raises:
+        CheckpointError: there is none, or a file is missing or damaged.
+    """
+    if not (folder / "config.json").is_file():
+        raise NoCheckpointError(folder)
+    try:
+        header = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+        told, _, _ = header["sha256"], header["kind"], header["format"]
+        digests = told if isinstance(told, dict) else {"weights.safetensors": told}
+    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
+        raise CheckpointError(f"{folder / 'config.json'} is no checkpoint's: {error!r}") from None
+    for name in CONTENTS[1:]:
+        if name in digests and not (folder / name).is_file():
+            raise CheckpointError(f"{folder} is incomplete: {name} is missing")
+        if name in digests and sha256((folder / name).read_bytes()).hexdigest() != digests[name]:
+            raise CheckpointError(f"{folder / name} does not match config.json: damaged, or from another checkpoint")
+    return header

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from owm.catalogue import hub
 from owm_envs.config import DockingConfig
+from owm_envs.hub import SOURCE
 from owm_envs.words import checked_seed, unknown
 
 
@@ -195,6 +196,8 @@ def content_digest(source: str) -> str:
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
     for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        if file.name in (hub.CARD, SOURCE):  # tell of the checkpoint, and are no part of it
+            continue
         sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
     return sha.hexdigest()[:16]
 

@@ -27,6 +27,7 @@ from owm.scores.prediction import PredictionError, prediction_error
 from owm.training.validation import PLANNER_STYLE
 from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig, load_config
+from owm_envs.datasets.fetch import local_dataset
 from owm_envs.files import write_atomically
 
 BASELINES = ("constant-velocity", "least-squares", "ekf", "exact")
@@ -53,7 +54,7 @@ def evaluate_prediction(
     Args:
         models: of `NAMED`, or folders of checkpoints; `BASELINES` are scored beside them on the same instants, the
             filter with the longest of their histories.
-        data: datasets.
+        data: datasets, each a folder or one of the hub's.
         split: one of theirs; by default the flights that training sets aside.
         windows: of each kind in each dataset, for the errors.
         spread_windows: for the calibration of those whose steps are samples.
@@ -74,17 +75,18 @@ def evaluate_prediction(
     for name in models:
         if name not in NAMED:
             checkpoint_folder(name, "predictor", NAMED)
+    folders = {path: local_dataset(path) for path in data}
     errors: dict[str, list[PredictionError]] = {}
     spreads: dict[str, list[Calibration]] = {}
     files: list[Path] = []
     asked = {"command": "owm evaluate prediction", "split": split, "windows": windows, "samples": samples, "seed": seed}
     asked |= {"models": {name: name if name in NAMED else content_digest(name) for name in models}}
-    asked |= {"spread_windows": spread_windows, "data": [_told(path) for path in data]}
+    asked |= {"spread_windows": spread_windows, "data": [_told(folder) for folder in folders.values()]}
     claim = Claim(out, asked)
     if claim.found and claim.found["done"]:
         announce(f"{claim.folder} holds these scores already")
-        data = ()
-    for path in data:
+        folders = {}
+    for named, path in folders.items():
         train, held_out = training_episodes(path, phases=1)
         if split is not None:
             held_out = at_model_rate(read_recordings(path, split))
@@ -92,9 +94,9 @@ def evaluate_prediction(
         for kind, others in (("behaviour", True), ("planner-style", False)):
             part = held_out.flown_by(PLANNER_STYLE, others=others)
             if part is None:
-                announce(f"{path} holds no {kind} flights")
+                announce(f"{named} holds no {kind} flights")
                 continue
-            group = f"{Path(path).name}, {kind}"
+            group = f"{Path(named).name}, {kind}"
             held = HELD_COMMANDS if kind == "planner-style" else RECORDED_COMMANDS
             named = {name: predictor(name, config, train, held) for name in (*models, *BASELINES)}
             history = max(model.history_length for model in named.values())

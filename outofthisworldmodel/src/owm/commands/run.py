@@ -33,6 +33,7 @@ from owm.training.config import TrainConfig
 from owm_envs.adapters.gymnasium import DockingGymEnv
 from owm_envs.claims import Claim, digest
 from owm_envs.config import DockingConfig
+from owm_envs.datasets.fetch import local_dataset
 from owm_envs.files import output_folder, slug
 from owm_envs.station import PORT_NAMES
 
@@ -47,6 +48,7 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | Non
 
     Raises:
         FileNotFoundError, ValueError: the dataset is missing or damaged, or `wandb` is named but not installed.
+        HubError: the dataset is one of the hub's, which does not give it.
         FolderTaken: `out` holds another run or something else.
     """
     if wandb is not None and find_spec("wandb") is None:
@@ -55,6 +57,7 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | Non
 
     Claim(out, {"config": config.model_dump(mode="json")})  # refused now, not after the data have been read
     announce(f"reading {', '.join(str(path) for path in data)} ...")
+    data = [local_dataset(path) for path in data]
     episodes, val = training_episodes(data)
     announce(
         f"{len(episodes)} episodes, {episodes.steps:,} steps of {episodes.dt} s to train on; "

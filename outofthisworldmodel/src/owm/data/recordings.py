@@ -5,13 +5,13 @@ import json
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from owm.data.windows import STRIDE, Episodes, from_episodes
+from owm_envs.datasets.fetch import local_dataset, origin
 from owm_envs.datasets.reader import dataset_folder, read, read_info
 from owm_envs.episode import Episode
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS
@@ -103,12 +103,13 @@ def training_episodes(
 
 
 def corpus_facts(path: str | os.PathLike) -> dict[str, Any]:
-    """What a checkpoint remembers of a dataset it was trained on: fidelity, noise and frame rate.
+    """What a checkpoint remembers of a dataset it was trained on: its commit on the hub or name, fidelity, noise, step.
 
     Datasets that `owm-envs generate` did not write don't tell all of them; those are then missing.
     """
-    facts = {"name": Path(path).name}
+    folder = local_dataset(path)
+    facts = {"name": origin(folder) or folder.name}
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        environment = json.loads((Path(path) / "generation.json").read_text(encoding="utf-8"))["environment"]
+        environment = json.loads((folder / "generation.json").read_text(encoding="utf-8"))["environment"]
         facts |= {name: environment[name] for name in ("fidelity", "noise", "dt")}
     return facts

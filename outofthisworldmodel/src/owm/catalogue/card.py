@@ -1,0 +1,89 @@
+"""The card that explains a checkpoint to whoever finds it on the hub, written from the checkpoint's own files."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from owm import __version__
+
+
+def model_card(header: Mapping[str, Any], name: str, metrics: Path | None = None) -> str:
+    """Markdown with the header that the Hugging Face hub reads.
+
+    Args:
+        header: of the checkpoint, its `config.json`.
+        name: of the repository, `user/name`.
+        metrics: `metrics.jsonl` of the run that it came from, if that is there.
+    """
+    about, kind = header.get("about") or {}, header["kind"]
+    use = {"ppo": "A policy", "learned": "A world model"}.get(kind, "A predictor")
+    return "\n".join(
+        [
+            *("---", "license: mit", "library_name: outofthisworldmodel", "pipeline_tag: robotics"),
+            *("tags: [spacecraft, docking, jax]", "---", ""),
+            *(f"# {use} of spacecraft docking", ""),
+            f"Kind `{kind}`, three files of numbers and text: nothing in them is executed.",
+            "",
+            *_loading(kind, name),
+            "",
+            *_corpora(about),
+            *_training(about),
+            *_scores(about, metrics),
+            f"Versions: outofthisworldmodel {__version__}, checkpoint format {header['format']}.",
+            "",
+            "Licence: MIT.",
+            "",
+        ]
+    )
+
+
+def _loading(kind: str, name: str) -> Iterator[str]:
+    yield from ("```sh", "pip install 'outofthisworldmodel[hub]'")
+    yield f"owm fly --policy {name} --port zvezda_aft --plot"
+    yield "```"
+    if kind != "ppo":
+        yield from ("", "```python", "import owm", "", f'model = owm.load_world_model("{name}")', "```")
+
+
+def _corpora(about: Mapping[str, Any]) -> Iterator[str]:
+    """What it was trained on."""
+    if corpora := about.get("corpus"):
+        yield from ("| trained on | equations of motion | noise of position | of velocity |", "|---|---|---|---|")
+        for corpus in corpora:
+            noise = corpus.get("noise") or {}
+            position, part = noise.get("position"), noise.get("position_per_range")
+            place = f"{part:g} of the distance" if part else f"{position:g} m" if position is not None else ""
+            speed = f"{noise['velocity']:g} m/s" if "velocity" in noise else ""
+            yield f"| {corpus.get('name', '')} | {corpus.get('fidelity', '')} | {place} | {speed} |"
+        yield ""
+
+
+def _training(about: Mapping[str, Any]) -> Iterator[str]:
+    """How it was trained: every setting, in the order of the configuration."""
+    run = (about.get("run") or {}).get("config") or about.get("config") or {}
+    settings = about.get("settled") or {name: value for name, value in run.items() if name != "model"}
+    if settings:
+        told = {name: value for name, value in settings.items() if value is not None}
+        yield f"Trained with seed {told.pop('seed', 'unknown')}:"
+        yield ", ".join(f"`{name} = {json.dumps(value)}`" for name, value in told.items()) + "."
+        yield ""
+    if "parameters" in about:
+        yield from (f"{about['parameters']:,} trained parameters.", "")
+
+
+def _scores(about: Mapping[str, Any], metrics: Path | None) -> Iterator[str]:
+    """How good it is: what chose the weights, and what the run noted at that step."""
+    if "score" not in about:
+        return
+    yield f"Validation score {about['score']:.4f} at step {about.get('step')}, the lower the better."
+    yield ""
+    lines = metrics.read_text(encoding="utf-8").splitlines() if metrics and metrics.is_file() else []
+    noted: dict[str, float] = {}
+    for line in map(json.loads, lines):
+        if line.get("step") == about.get("step"):
+            noted |= {name: value for name, value in line.items() if name.endswith(("score", "energy"))}
+    if noted:
+        yield from ("| validation | |", "|---|---|")
+        yield from (f"| {name} | {value:.4f} |" for name, value in noted.items())
+        yield ""
