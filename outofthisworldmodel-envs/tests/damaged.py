@@ -158,9 +158,7 @@ def _boundary_moved(root: Path) -> None:
         columns["frame_index"][first] = first
         later = columns["episode_index"] == 1
         columns["frame_index"][later] -= 1
-        for name in ("frame_index", "timestamp"):
-            columns["timestamp"] = (columns["frame_index"] / 20).astype(np.float32)
-        del name
+        columns["timestamp"] = (columns["frame_index"] / 20).astype(np.float32)
 
     def episodes(columns: dict[str, np.ndarray]) -> None:
         columns["length"][:2] += [1, -1]

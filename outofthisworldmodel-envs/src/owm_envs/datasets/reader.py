@@ -23,7 +23,7 @@ from owm_envs.datasets.metadata import (
 from owm_envs.datasets.parse import read_json, read_lines, read_rows, row_count, schema_of
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
 from owm_envs.datasets.runs import Run, run_of
-from owm_envs.datasets.schema import episode_from_columns
+from owm_envs.datasets.schema import FEATURES, episode_from_columns
 from owm_envs.datasets.statistics import Statistics, aggregate
 from owm_envs.datasets.windows import Windows
 from owm_envs.episode import Episode
@@ -130,9 +130,10 @@ class Dataset(Sequence[Episode]):
             check_statistics(path, found, self.features)
         return found
 
-    def rows(self, number: int) -> int:
-        """Rows of an episode: of ours, one more than its decisions."""
-        return int(self.layout.rows[self._number(number)])
+    @property
+    def lengths(self) -> np.ndarray:
+        """Rows of each episode: of ours, one more than its decisions."""
+        return self.layout.rows
 
     def columns(self, number: int) -> dict[str, Any]:
         """The columns of an episode, arrays (rows, ...) by name, and its videos as `Frames`.
@@ -151,7 +152,9 @@ class Dataset(Sequence[Episode]):
         columns: dict[str, Any] = read_rows(span.path, names, span.first, span.first + span.rows)
         for name, values in columns.items():
             shape = tuple(self.features.get(name, {}).get("shape") or ())
-            if values.dtype != object and values[0].size == np.prod(shape) and len(shape) > 1:
+            # A single number stays one, but for a part of the observation of our own.
+            kept = len(shape) > 1 or (self.ours and name not in FEATURES)
+            if kept and values.dtype != object and values[0].size == np.prod(shape):
                 columns[name] = values.reshape(len(values), *shape)
         if self.ours:
             check_episode(columns, span, float(self.info["fps"]), self.run.config)

@@ -1,13 +1,10 @@
 """Equally long cuts of episodes, at a rate of their own, for anything that loads examples by number."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
-
-if TYPE_CHECKING:
-    from owm_envs.datasets.reader import Dataset
 
 ACTION = "action"
 
@@ -25,6 +22,16 @@ def mean_actions(action: Float[np.ndarray, "T A"], rows: Int[np.ndarray, "S"]) -
     return between.reshape(len(rows) - 1, rows[1] - rows[0], *action.shape[1:]).mean(axis=1)
 
 
+class Episodic(Protocol):
+    """What windows are cut of: a `Dataset`."""
+
+    lengths: Int[np.ndarray, "E"]
+    """Rows of each episode."""
+
+    def columns(self, number: int) -> dict[str, Any]:
+        """Arrays of an episode's rows, by column."""
+
+
 class Windows:
     """Cuts of a dataset's episodes by number; it has the length and items that loaders of torch and grain ask for.
 
@@ -37,20 +44,18 @@ class Windows:
         context, rollout, stride: as `Dataset.windows` takes them.
 
     Raises:
-        ValueError: one of them is not positive, there are no actions, or no episode is long enough.
+        ValueError: one of them is not positive, or no episode is long enough.
     """
 
-    def __init__(self, dataset: "Dataset", context: int = 8, rollout: int = 16, stride: int = 5):
+    def __init__(self, dataset: Episodic, context: int = 8, rollout: int = 16, stride: int = 5):
         for name, value, least in (("context", context, 1), ("rollout", rollout, 1), ("stride", stride, 1)):
             if value < least:
                 raise ValueError(f"{name} must be at least {least}, got {value}")
-        if ACTION not in dataset.features and not dataset.published:
-            raise ValueError(f"{dataset.folder} has no column {ACTION!r}; it has {', '.join(dataset.features)}")
         self.dataset, self.context, self.rollout, self.stride = dataset, context, rollout, stride
         self._reach = (context + rollout - 1) * stride
-        self._ends = np.cumsum(np.maximum(dataset.layout.rows - self._reach, 0))
+        self._ends = np.cumsum(np.maximum(dataset.lengths - self._reach, 0))
         if not len(self):
-            longest = int(dataset.layout.rows.max(initial=0))
+            longest = int(dataset.lengths.max(initial=0))
             raise ValueError(f"a window spans {self._reach + 1} rows; the longest episode has {longest}")
 
     def __repr__(self) -> str:
@@ -77,6 +82,8 @@ class Windows:
         episode = int(np.searchsorted(self._ends, number, side="right"))
         first = number - (int(self._ends[episode - 1]) if episode else 0)
         columns = self.dataset.columns(episode)
+        if ACTION not in columns:
+            raise ValueError(f"{self.dataset} has no column {ACTION!r}; it has {', '.join(columns)}")
         rows = first + grid(self._reach, self.stride)
         seen = {name: np.array(values[rows]) for name, values in columns.items() if name.startswith("observation")}
         return seen | {ACTION: mean_actions(_flat(columns[ACTION]), rows)}
