@@ -1,5 +1,6 @@
 """The `owm-envs` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -73,6 +74,34 @@ def generate(
         summary = record(out, settings, request, announce=lambda text: console.print(f"{text} ..."), progress=show)
     for split, counts in summary.items():
         print(f"{out / split}: {counts['episodes']} episodes, {counts['transitions']:,} transitions")
+
+
+def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:
+    """Check a dataset: hashes, counts, each row, statistics, each frame, dynamics, noise and a picture drawn anew.
+
+    Ends with 1 if something is wrong, and says what.
+
+    Args:
+        dataset: Folder of a dataset, or its name on the hub, user/name with an optional @revision.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from owm_envs.datasets.verify import WRONG, verify
+
+    console = Console(stderr=True)
+    with console.status("") as status:
+        report = verify(dataset, progress=status.update)
+    table = Table(title=dataset)
+    for heading in ("check", "split", "result", "figure"):
+        table.add_column(heading, overflow="fold")
+    for check, split, result, told in report.findings:
+        table.add_row(check, split, result, "" if result == WRONG else told)
+    Console().print(table)
+    for finding in report.wrong:
+        print(f"wrong: {finding.told}", file=sys.stderr)
+    if not report.sound:
+        raise SystemExit(1)
 
 
 def render(
@@ -353,6 +382,7 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     station.command(station_show, name="show")
     app = tyro.extras.SubcommandApp()
     app.command(generate)
+    app.command(verify)
     app.command(render)
     app.command(push)
     app.command(download)

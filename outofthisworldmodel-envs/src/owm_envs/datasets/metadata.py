@@ -1,7 +1,7 @@
 """What must hold of the metadata of a docking dataset, before any row is read, and of all its episodes together."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,23 +71,23 @@ def check_columns(path: Path, features: Mapping[str, Mapping[str, Any]]) -> None
             raise ValueError(f"{path}: {name} must be {feature['dtype']} {wanted}, got {came}")
 
 
-def check_tallies(folder: Path, run: Run, episodes: Sequence[Episode]) -> None:
+def tallies(episodes: Iterable[Episode]) -> dict[str, Counter[str]]:
+    """How many episodes each policy flew, each port was the goal of, and each outcome ended."""
+    kinds = [(e.policy_name, PORT_NAMES[e.port], OUTCOMES[e.outcome]) for e in episodes]
+    return {what: Counter(kind[i] for kind in kinds) for i, what in enumerate(("policies", "ports", "outcomes"))}
+
+
+def check_tallies(folder: Path, run: Run, found: Mapping[str, Counter[str]]) -> None:
     """All episodes of a split are flown by, to, and ended as the run tells.
 
     Raises:
         ValueError: policies, ports or outcomes are others.
     """
-    tallies = {
-        "policies": Counter(episode.policy_name for episode in episodes),
-        "ports": Counter(PORT_NAMES[episode.port] for episode in episodes),
-        "outcomes": Counter(OUTCOMES[episode.outcome] for episode in episodes),
-    }
     told = run.results()
-    for what, tally in tallies.items():
+    for what, tally in found.items():
         if told and all(result.get(what, tally) != tally for result in told):
-            raise ValueError(
-                f"{folder} holds the {what} {dict(tally)}; {run.root / GENERATION} tells of {told[0][what]}"
-            )
+            path = run.root / GENERATION
+            raise ValueError(f"{folder} holds the {what} {dict(tally)}; {path} tells of {told[0][what]}")
 
 
 def statistics_of(path: Path, stored: Any) -> Statistics:

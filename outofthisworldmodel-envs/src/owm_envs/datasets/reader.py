@@ -19,6 +19,7 @@ from owm_envs.datasets.metadata import (
     check_tallies,
     frame_size,
     statistics_of,
+    tallies,
 )
 from owm_envs.datasets.parse import read_json, read_lines, read_rows, row_count, schema_of
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
@@ -222,7 +223,7 @@ def read(path: str | os.PathLike, split: str | None = None) -> list[Episode]:
     dataset = open_dataset(path, split)
     episodes = list(dataset)
     if dataset.ours:
-        check_tallies(dataset.folder, dataset.run, episodes)
+        check_tallies(dataset.folder, dataset.run, tallies(episodes))
     return episodes
 
 
