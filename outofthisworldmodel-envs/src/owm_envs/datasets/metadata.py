@@ -1,7 +1,7 @@
 """What must hold of the metadata of a docking dataset, before any row is read, and of all its episodes together."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +99,27 @@ def statistics_of(path: Path, stored: Any) -> Statistics:
     if not isinstance(stored, Mapping) or not all(isinstance(part, Mapping) for part in stored.values()):
         raise ValueError(f"{path} does not hold statistics: a table of numbers for each column")
     return {name: {key: _numbers(path, name, key, part) for key in part} for name, part in stored.items()}
+
+
+def pooled(parts: Sequence[Statistics]) -> Statistics:
+    """The moments of all episodes together, from those of each: all that version 2.1 keeps.
+
+    Raises:
+        ValueError: they are not of the same columns, or one lacks a moment.
+    """
+    found: Statistics = {}
+    for name in parts[0]:
+        try:
+            low, high, mean, std, count = (
+                np.stack([part[name][key] for part in parts]) for key in ("min", "max", "mean", "std", "count")
+            )
+        except (KeyError, ValueError):
+            raise ValueError(f"the episodes' statistics of {name} must each have min, max, mean, std, count") from None
+        share = (count / count.sum(axis=0)).reshape(len(parts), *[1] * (mean.ndim - 1))
+        together = np.sum(share * mean, axis=0)
+        spread = np.sqrt(np.sum(share * (std**2 + (mean - together) ** 2), axis=0))
+        found[name] = {"min": low.min(0), "max": high.max(0), "mean": together, "std": spread, "count": count.sum(0)}
+    return found
 
 
 def check_statistics(path: Path, statistics: Statistics, features: Mapping[str, Mapping[str, Any]]) -> None:

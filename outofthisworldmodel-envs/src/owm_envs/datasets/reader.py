@@ -18,6 +18,7 @@ from owm_envs.datasets.metadata import (
     check_statistics,
     check_tallies,
     frame_size,
+    pooled,
     statistics_of,
     tallies,
 )
@@ -25,7 +26,7 @@ from owm_envs.datasets.parse import read_json, read_lines, read_rows, row_count,
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
 from owm_envs.datasets.runs import Run, run_of
 from owm_envs.datasets.schema import FEATURES, episode_from_columns
-from owm_envs.datasets.statistics import Statistics, aggregate
+from owm_envs.datasets.statistics import Statistics
 from owm_envs.datasets.windows import Windows
 from owm_envs.episode import Episode
 
@@ -124,7 +125,7 @@ class Dataset(Sequence[Episode]):
             told = [statistics_of(path, line.get("stats")) for line in read_lines(path)]
             if not told:
                 raise ValueError(f"{path} holds no statistics")
-            return aggregate(told)
+            return pooled(told)
         path = meta / "stats.json"
         found = statistics_of(path, read_json(path, "a table of statistics"))
         if self.ours:
@@ -166,6 +167,17 @@ class Dataset(Sequence[Episode]):
             columns[key] = Frames(clip, frame_size(key, self.features[key]), self._frames)
         self._rows.put(number, columns, sum(values.nbytes for values in columns.values() if hasattr(values, "nbytes")))
         return dict(columns)
+
+    def episodes(self) -> list[Episode]:
+        """Every episode, and together what the run tells of them.
+
+        Raises:
+            FileNotFoundError, ValueError: as for each; or policies, ports or outcomes are not those of the run.
+        """
+        episodes = list(self)
+        if self.ours:
+            check_tallies(self.folder, self.run, tallies(episodes))
+        return episodes
 
     def windows(self, context: int = 8, rollout: int = 16, stride: int = 5) -> Windows:
         """Every cut of `context + rollout` views, `stride` rows apart, that fits into an episode.
@@ -220,11 +232,7 @@ def read(path: str | os.PathLike, split: str | None = None) -> list[Episode]:
     Raises:
         FileNotFoundError, ValueError: as `open_dataset`; or it holds no docking episodes.
     """
-    dataset = open_dataset(path, split)
-    episodes = list(dataset)
-    if dataset.ours:
-        check_tallies(dataset.folder, dataset.run, tallies(episodes))
-    return episodes
+    return open_dataset(path, split).episodes()
 
 
 def dataset_folder(path: str | os.PathLike, split: str | None = None) -> Path:
