@@ -114,3 +114,30 @@ def write_v3(folder: Path, lengths: list[int], group: int = 1000) -> Path:
     (folder / "meta/episodes/chunk-000").mkdir(parents=True)
     pq.write_table(pa.table(table | place), folder / "meta/episodes/chunk-000/file-000.parquet")
     return folder
+
+
+VIEW = "observation.images.fpv"
+
+
+def add_video(folder: Path) -> Path:
+    """Give a docking dataset of vectors a video, as the camera's part `pixels` becomes one; return the file."""
+    path = folder / "meta/info.json"
+    info = json.loads(path.read_text())
+    info["features"][VIEW] = {"dtype": "video", "shape": [HEIGHT, WIDTH, 3], "names": ["height", "width", "channels"]}
+    info["video_path"] = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+    path.write_text(json.dumps(info))
+    path = folder / "meta/episodes/chunk-000/file-000.parquet"
+    table, fps = pq.read_table(path), info["fps"]
+    first, last = (table[f"dataset_{end}_index"].to_numpy() for end in ("from", "to"))
+    more = {
+        "chunk_index": first * 0,
+        "file_index": first * 0,
+        "from_timestamp": first / fps,
+        "to_timestamp": last / fps,
+    }
+    for name, values in more.items():
+        table = table.append_column(f"videos/{VIEW}/{name}", pa.array(values))
+    pq.write_table(table, path, write_page_checksum=True)
+    video = folder / f"videos/{VIEW}/chunk-000/file-000.mp4"
+    save_video(video, flat_frames(info["total_frames"]), fps)
+    return video

@@ -1,6 +1,7 @@
 """Datasets of ours and of others, episode by episode and as windows, with frames decoded where they are looked at."""
 
 import pickle
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,11 +14,12 @@ from owm_envs.config import load_config
 from owm_envs.datasets.cache import Cache
 from owm_envs.datasets.frames import Clip, Frames
 from owm_envs.datasets.generate import Request, generate
+from owm_envs.datasets.verify import verify
 from owm_envs.datasets.windows import grid, mean_actions
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from lerobot_sets import CAMERA, HEIGHT, WIDTH, columns, flat_frames, save_video, write_v2, write_v3
+from lerobot_sets import CAMERA, HEIGHT, WIDTH, add_video, columns, flat_frames, save_video, write_v2, write_v3
 
 LENGTHS = [7, 23, 12]
 
@@ -119,6 +121,33 @@ def test_an_episode_is_read_alone_and_equals_that_of_all(ours):
     assert dataset.features["action"]["shape"] == [6]
     with pytest.raises(FileNotFoundError, match="has no split 'test'; it has train, val"):
         datasets.open(ours, "test")
+
+
+def test_the_camera_of_a_flight_is_a_part_of_its_observation(ours, tmp_path):
+    folder = shutil.copytree(ours, tmp_path / "set")
+    video = add_video(folder / "train")
+    dataset = datasets.open(folder, "train")
+    before = dataset.lengths[0]
+    flight = dataset[1]
+    pixels = flight.observation["pixels"]
+    assert pixels.shape == (len(flight) + 1, HEIGHT, WIDTH, 3) and pixels.dtype == np.uint8
+    assert np.abs(pixels[7:9].astype(int) - flat_frames(2, before + 7)).max() <= 2
+    assert dataset.windows(2, 1)[3]["observation.images.fpv"].shape == (3, HEIGHT, WIDTH, 3)
+    report = verify(folder)
+    assert [f.told for f in report.findings if f.check == "frames"] == [f"{dataset.lengths.sum()} decoded, one a row"]
+    whole = video.read_bytes()
+    video.write_bytes(whole[: len(whole) // 2])
+    (found,) = [finding for finding in verify(folder).wrong if finding.check == "frames"]
+    assert "file-000.mp4" in found.told
+    save_video(video, flat_frames(int(dataset.lengths.sum()) - 3), 20)
+    (found,) = [finding for finding in verify(folder).wrong if finding.check == "frames"]
+    assert "frames for 324 rows; frame 321 is missing" in found.told
+    save_video(video, flat_frames(400)[:, :16], 20)
+    with pytest.raises(ValueError, match=r"frames are \(16, 48, 3\), info.json tells of \(32, 48, 3\)"):
+        datasets.open(folder, "train")[0].observation["pixels"][0]
+    video.unlink()
+    with pytest.raises(FileNotFoundError, match=r"file-000.mp4 is missing"):
+        datasets.open(folder, "train")
 
 
 def test_datasets_and_windows_go_to_other_processes(others):

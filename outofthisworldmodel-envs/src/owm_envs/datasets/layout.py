@@ -84,6 +84,8 @@ def read_info(folder: Path) -> dict[str, Any]:
     version = info.get("codebase_version")
     if not (isinstance(version, str) and re.fullmatch(r"v?(3(\.\d+)*|2\.1)", version)):
         raise ValueError(f"{folder} is a LeRobot dataset of version {version!r}; this reads v2.1 and v3")
+    if (storage := info.get("storage_format", "parquet")) != "parquet":
+        raise ValueError(f"{folder} is stored as {storage!r}; this reads Parquet and MP4 files")
     if "fps" in info and not (_is_number(info["fps"]) and 0 < info["fps"] < 1e6):
         raise ValueError(f"{path}: fps must be a number above 0, got {info['fps']!r}")
     for name in ("total_episodes", "total_frames"):

@@ -163,6 +163,8 @@ class Dataset(Sequence[Episode]):
         elif self.published:
             check_finite(columns, span, PUBLISHED_COLUMNS)
         for key, clip in span.clips.items():
+            if not self.ours and 3 not in self.features[key]["shape"]:
+                continue  # a map of depths: no colours
             self.run.check(clip.path, content=False)
             columns[key] = Frames(clip, frame_size(key, self.features[key]), self._frames)
         self._rows.put(number, columns, sum(values.nbytes for values in columns.values() if hasattr(values, "nbytes")))
