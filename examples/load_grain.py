@@ -46,9 +46,8 @@ def main() -> None:
     rate = options.batches * options.batch / (time.perf_counter() - began)
     stream.set_state(here)
     again = all(np.array_equal(values, batch[name]) for name, values in next(stream).items())
-    print(
-        f"{options.batches} batches, {rate:,.0f} windows a second; taken up again, {'the same' if again else 'another'}"
-    )
+    print(f"{options.batches} batches, {rate:,.0f} windows a second")
+    print("taken up again: " + ("the same" if again else "another"))
 
 
 if __name__ == "__main__":
