@@ -96,7 +96,8 @@ class _Episode:
 
     def __init__(self, span: Span, columns: Columns):
         self.span, self.columns, self.rows = span, columns, span.rows
-        self.state = columns["observation.state"].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of a signalling NaN; it is refused below
+            self.state = columns["observation.state"].astype(np.float64)
         self.truth = columns["observation.environment_state"]
         # Several numbers of an epoch in single precision: its seconds are then 1/128 s coarse.
         epoch = columns["epoch"]

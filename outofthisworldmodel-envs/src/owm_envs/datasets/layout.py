@@ -195,7 +195,8 @@ def _version_2(folder: Path, info: dict[str, Any]) -> Layout:
     path = folder / "meta" / "episodes.jsonl"
     told = read_lines(path)
     for number, line in enumerate(told):
-        if line.get("episode_index") != number or not (type(line.get("length")) is int and line["length"] > 0):
+        length = line.get("length")
+        if line.get("episode_index") != number or not (type(length) is int and 0 < length < 1 << 31):
             raise ValueError(f"{path}, line {number + 1}: must have episode_index {number} and a length, got {line}")
     rows = np.array([line["length"] for line in told], np.int64)
     per_chunk = info.get("chunks_size", 1000)
