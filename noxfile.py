@@ -25,6 +25,8 @@ PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "out
 RUFF = "ruff==0.17.6"
 CLIENTS = ("==0.34.0", ">=2")
 """Of the Hugging Face hub: the oldest that pyproject.toml allows, and the newest."""
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+"""Names that tests look for in the path, unless `OWM_CHROMIUM` says where it is."""
 
 TEST_ENVIRONMENT = {
     # Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete.
@@ -168,6 +170,15 @@ def lerobot(session: nox.Session) -> None:
         session.run("owm-envs", "verify", dataset)
         offline = {"OWM_LEROBOT_DATASET": dataset, "HF_HUB_OFFLINE": "1"}
         session.run("pytest", "outofthisworldmodel-envs/tests_lerobot", *session.posargs, env=offline)
+
+
+@nox.session
+def browser(session: nox.Session) -> None:
+    """Open the replay's page in Chromium, and its recording in Rerun (large); the system's Chromium if there is one."""
+    _install(session, *_editable("", "astrojax"), *_editable("browser,rerun,test", "outofthisworldmodel-envs"))
+    if not (os.environ.get("OWM_CHROMIUM") or any(map(shutil.which, CHROMIUM))):
+        session.run("playwright", "install", "chromium")
+    session.run("pytest", "outofthisworldmodel-envs/tests_browser", *session.posargs, env=_test_environment(session))
 
 
 @nox.session

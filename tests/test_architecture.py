@@ -10,9 +10,9 @@ ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
     "owm_envs": [
-        {"words", "registration", "files", "cores", "flags", "view"},
-        {"shell", "station", "claims"},
-        {"config", "hub"},
+        {"words", "registration", "files", "cores", "flags", "view", "pipeline"},
+        {"shell", "station", "claims", "video"},
+        {"config", "hub", "figures"},
         {"dynamics"},
         {"task"},
         {"camera"},
@@ -22,6 +22,8 @@ FLOORS = {
         {"rollout", "adapters"},
         {"datasets", "testing", "pettingzoo", "sb3"},
         {"film"},
+        {"replay"},
+        {"commands"},
         {"cli"},
         {"__main__"},
     ],

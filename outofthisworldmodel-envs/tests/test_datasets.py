@@ -14,11 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from owm_envs import datasets
-from owm_envs.config import load_config
-from owm_envs.datasets.generate import Request, generate, train_flights, val_flights
+from owm_envs.config import NOISE_PRESETS, load_config
+from owm_envs.datasets.generate import generate
+from owm_envs.datasets.pieces import Pieces
+from owm_envs.datasets.recipe import Request, flights, load_recipe, shipped, splits
 from owm_envs.datasets.schema import FEATURES, columns_from_episode
-from owm_envs.datasets.statistics import aggregate, episode_statistics
-from owm_envs.datasets.writer import SplitWriter
+from owm_envs.datasets.statistics import QUANTILES, episode_statistics, exact_quantiles, pixel_statistics, united
+from owm_envs.datasets.writer import write_meta, write_split
 from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.files import FolderTaken
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS, goal_poses
@@ -83,14 +85,16 @@ def at_home(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def written(tmp_path):
-    """A dataset of made-up episodes in two batches: (folder, episodes)."""
+def written(tmp_path, monkeypatch):
+    """A dataset of made-up episodes in two files: (folder, episodes)."""
     rng = np.random.default_rng(0)
     episodes = [made_up(rng, length, port=length % 8) for length in (1, 5, 30)]
-    writer = SplitWriter(tmp_path / "set", 20.0)
-    writer.write(episodes[:2])
-    writer.write(episodes[2:])
-    writer.finish(writer.statistics())
+    pieces = Pieces(tmp_path / "pieces")
+    for number, episode in enumerate(episodes):
+        pieces.put(number, episode, 20.0)
+    monkeypatch.setattr("owm_envs.datasets.writer.DATA_MB", sum(pieces.sizes(i)[0] for i in (0, 1)) / 1e6)
+    split = write_split(tmp_path / "set", pieces, range(3), 20.0, {})
+    write_meta(tmp_path / "set", split, split.statistics, 20.0, {})
     return tmp_path / "set", episodes
 
 
@@ -115,13 +119,41 @@ def test_the_last_row_of_an_episode_pads_its_terminal_observation():
 def test_statistics_of_episodes_add_up_to_those_of_all_rows():
     rng = np.random.default_rng(2)
     parts = [{"action": rng.normal(5, 3, (n, 2)), "port": np.full(n, 4)} for n in (50, 2, 300)]
-    total = aggregate([episode_statistics(part) for part in parts])
+    total = {}
+    for part in parts:
+        total = united(total, episode_statistics(part))
     rows = np.concatenate([part["action"][:-1] for part in parts])
     for name, value in [("mean", rows.mean(0)), ("std", rows.std(0)), ("min", rows.min(0)), ("max", rows.max(0))]:
         np.testing.assert_allclose(total["action"][name], value, rtol=1e-12)
     assert total["action"]["count"].tolist() == [349] and total["port"]["count"].tolist() == [352]
     values = rng.normal(size=(999, 1))
     np.testing.assert_allclose(episode_statistics({"port": values})["port"]["q90"], np.quantile(values, 0.9, axis=0))
+
+
+@pytest.mark.parametrize("counts", [(1,), (2,), (5, 1000, 77)])
+def test_quantiles_are_exact_however_the_rows_are_cut(counts):
+    rng = np.random.default_rng(3)
+    numbers = rng.normal(size=(sum(counts), 3)) * 10.0 ** rng.integers(-300, 300, (sum(counts), 3))
+    rows = np.concatenate([numbers, rng.integers(-1, 2, (len(numbers), 2)), np.zeros((len(numbers), 1))], axis=1)
+    found = exact_quantiles(lambda: iter(np.split(rows, np.cumsum(counts)[:-1])))
+    for name, q in QUANTILES.items():
+        np.testing.assert_allclose(found[name], np.quantile(rows, q, axis=0), rtol=1e-14, err_msg=name)
+    singles = rows.astype(np.float32).astype(np.float64)[:, 3:]
+    found = exact_quantiles(lambda: iter([singles.astype(np.float32)]))
+    np.testing.assert_array_equal(found["q50"], np.quantile(singles, 0.5, axis=0))
+
+
+def test_statistics_of_pixels_are_those_of_all_of_them():
+    rng = np.random.default_rng(4)
+    frames = rng.integers(0, 200, (6, 5, 7, 3), dtype=np.uint8)
+    counts = np.stack([np.bincount(frames[..., channel].ravel(), minlength=256) for channel in range(3)])
+    found, rows = pixel_statistics(counts, 6), frames.reshape(-1, 3) / 255.0
+    expected = {"mean": rows.mean(0), "std": rows.std(0), "min": rows.min(0), "max": rows.max(0)}
+    expected |= {name: np.quantile(rows, q, axis=0) for name, q in QUANTILES.items()}
+    for name, value in expected.items():
+        assert found[name].shape == (3, 1, 1)
+        np.testing.assert_allclose(found[name].ravel(), value, rtol=1e-12, err_msg=name)
+    assert found["count"].tolist() == [6]
 
 
 def test_a_recorded_dataset_is_what_was_asked_for(recorded):
@@ -175,20 +207,67 @@ def test_the_metadata_says_what_the_files_hold(recorded):
             assert len(held) == row["length"]
 
 
+def planned(config=None, count=1000, split="train", **request):
+    return list(islice(flights(splits(Request(**request), config or load_config())[split]), count))
+
+
 def test_flights_are_spread_as_the_mix_says():
-    config = load_config()
-    flights = list(islice(train_flights(Request(planner_style=0.2), config), 1000))
-    share = Counter(flight.policy for flight in flights)
+    train = planned(planner_style=0.2)
+    share = Counter(flight.policy for flight in train)
     for policy, expected in [("random", 240), ("orbit", 280), ("dock", 280), ("excite", 200)]:
         assert abs(share[policy] - expected) <= 5
-    ports = Counter(PORT_NAMES[flight.port] for flight in flights)
+    ports = Counter(PORT_NAMES[flight.port] for flight in train)
     assert ports == dict.fromkeys(TRAIN_PORTS, 200)
-    both = Counter(flights)
+    both = Counter(train)
     assert min(both.values()) > 20, "policy and port must not be tied to each other"
-    assert {flight.policy for flight in flights[:8]} >= {"random", "orbit", "dock"}
-    assert [PORT_NAMES[flight.port] for flight in islice(val_flights(Request(), config), 8)] == list(PORT_NAMES)
-    assert flights == list(islice(train_flights(Request(planner_style=0.2), config), 1000))
-    assert flights != list(islice(train_flights(Request(planner_style=0.2, seed=1), config), 1000))
+    assert {flight.policy for flight in train[:8]} >= {"random", "orbit", "dock"}
+    assert [PORT_NAMES[flight.port] for flight in planned(count=8, split="val")] == list(PORT_NAMES)
+    assert train == planned(planner_style=0.2) != planned(planner_style=0.2, seed=1)
+
+
+def test_mixtures_and_ports_of_each_split_may_be_chosen():
+    asked = {
+        "policies": {"dock-geodesic": 3, "random": 1},
+        "ports": ("unity_nadir", "zvezda_aft"),
+        "val_policies": {"orbit": 1.0},
+        "val_ports": ("poisk_zenith",),
+    }
+    train, val = planned(**asked), planned(**asked, split="val", count=3)
+    assert abs(Counter(flight.policy for flight in train)["dock-geodesic"] - 750) <= 2
+    assert Counter(PORT_NAMES[flight.port] for flight in train) == {"unity_nadir": 500, "zvezda_aft": 500}
+    assert {(flight.policy, PORT_NAMES[flight.port]) for flight in val} == {("orbit", "poisk_zenith")}
+
+
+def test_recipes_that_come_with_the_package_are_requests():
+    assert {"quick", "small-64", *(f"paper-500k-{n}" for n in ("none", "cooperative", "noncooperative"))} == {
+        *shipped()
+    }
+    for name in shipped():
+        request, environment = load_recipe(name)
+        config = load_config(environment)
+        plan = splits(Request(**request), config)
+        assert plan["train"].transitions == (500_000 if "500k" in name else 20_000)
+        if "500k" in name:
+            assert config.camera.height == config.camera.width == 512 and config.decision_dt == 0.05
+            assert plan["val"].ports == list(range(8)) and name.endswith(tuple(NOISE_PRESETS))
+            assert config.noise == NOISE_PRESETS[name.rpartition("-")[2]]
+    assert load_config(load_recipe("small-64")[1]).decision_dt == 0.25
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("transition = 5", "recipe '.*': unknown key 'transition'; did you mean 'transitions'"),
+        ("transitions = ", "is not valid TOML"),
+        ("[environment]\nfidelty = 'iss'", "unknown .*'fidelty'; did you mean 'fidelity'"),
+    ],
+)
+def test_a_recipe_with_a_mistake_is_refused(tmp_path, text, message):
+    (tmp_path / "own.toml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        load_recipe(tmp_path / "own.toml")
+    with pytest.raises(ValueError, match="unknown recipe 'smal-64'; did you mean 'small-64'"):
+        load_recipe("smal-64")
 
 
 def _command(folder, config):
@@ -201,7 +280,7 @@ def test_a_killed_run_leaves_nothing_or_resumes_to_the_same_dataset(recorded, tm
     whole, _ = recorded
     folder, config = tmp_path / "set", tmp_path / "config.toml"
     config.write_text(CONFIG.to_toml(), encoding="utf-8")
-    first = folder.with_name("set.partial") / "train/meta/episodes/chunk-000/file-000.parquet"
+    first = folder.with_name("set.partial") / "pieces/train/000000.arrow"
     with subprocess.Popen(_command(folder, config), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         while not first.is_file() and process.poll() is None:
             time.sleep(0.005)
@@ -213,30 +292,22 @@ def test_a_killed_run_leaves_nothing_or_resumes_to_the_same_dataset(recorded, tm
         datasets.read(folder, "train")
     with pytest.raises(FileExistsError, match=r"set.partial holds another run, which differs in request.seed"):
         generate(folder, CONFIG, Request(transitions=3000, val_transitions=100, seed=8, episodes_per_batch=2))
-    kept = first.stat().st_mtime_ns
-    told = []
-    generate(folder, CONFIG, REQUEST, announce=told.append)
-    assert any("resuming" in message for message in told)
-    resumed = folder / first.relative_to(folder.with_name("set.partial"))
-    assert resumed.stat().st_mtime_ns == kept, "the finished batch was flown again"
-    for split in ("train", "val"):
-        for one, other in zip(datasets.read(whole, split), datasets.read(folder, split), strict=True):
-            assert_same(one, other)
-    assert datasets.read_statistics(whole).keys() == datasets.read_statistics(folder).keys()
-    for name in ("README.md", "generation.json", "train/meta/stats.json", "val/meta/info.json"):
-        assert (whole / name).read_bytes() == (folder / name).read_bytes(), name
+    kept, told = {piece.name: piece.stat().st_mtime_ns for piece in first.parent.iterdir()}, []
+
+    def look(progress):
+        for name, time_ns in kept.items():
+            piece = first.with_name(name)
+            assert not piece.exists() or piece.stat().st_mtime_ns == time_ns, "a finished episode was flown again"
+
+    generate(folder, CONFIG, REQUEST, announce=told.append, progress=look)
+    assert any("resuming" in message for message in told) and "000000.arrow" in kept
+    assert_same_bytes(whole, folder)
 
 
-def test_a_batch_without_its_seal_is_written_again(written, tmp_path):
-    folder, episodes = written
-    (folder / "meta/episodes/chunk-000/file-001.parquet").unlink()
-    (folder / "data/chunk-000/file-001.parquet").write_bytes(b"half")
-    writer = SplitWriter(folder, 20.0)
-    assert (writer.batches, writer.episodes, writer.transitions) == (1, 2, 6)
-    writer.write(episodes[2:])
-    writer.finish(writer.statistics())
-    for episode, back in zip(episodes, datasets.read(folder), strict=True):
-        assert_same(episode, back)
+def assert_same_bytes(one, other):
+    names = [{file.relative_to(root) for file in root.rglob("*") if file.is_file()} for root in (one, other)]
+    assert names[0] == names[1]
+    assert [str(name) for name in names[0] if (one / name).read_bytes() != (other / name).read_bytes()] == []
 
 
 def test_an_existing_folder_is_left_alone(recorded):
@@ -291,6 +362,11 @@ def test_a_run_killed_after_its_last_file_has_moved_is_complete(recorded, tmp_pa
         ({"transitions": 0}, "transitions must be at least 1"),
         ({"planner_style": 1.5}, "planner_style must be from 0 to 1"),
         ({"seed": -1}, "seed must be an integer of at least 0, got -1"),
+        ({"episodes": 3}, "exactly one of transitions and episodes"),
+        ({"val_transitions": None}, "exactly one of val_transitions and val_episodes"),
+        ({"policies": {"dok": 1.0}}, "unknown policy 'dok'; did you mean 'dock'"),
+        ({"val_policies": {"dock": 0.0}}, "val_policies must be shares"),
+        ({"ports": ("zvesda_aft",)}, "zvezda_aft"),
     ],
 )
 def test_impossible_requests_are_refused_by_name(request_, message):
@@ -311,6 +387,7 @@ def _break(folder, how):
     if how == "missing":
         return folder / "nowhere"
     if how == "split":
+        shutil.copytree(folder, folder.with_name("other"))
         return folder.parent
     if how == "not lerobot":
         info.unlink()
@@ -334,7 +411,7 @@ def _break(folder, how):
     ("how", "error", "message"),
     [
         ("missing", FileNotFoundError, "no dataset at"),
-        ("split", ValueError, "holds the splits set: name one"),
+        ("split", ValueError, "holds the splits other, set: name one"),
         ("not lerobot", ValueError, "no meta/info.json"),
         ("version", ValueError, "version 'v1.6'; this reads v2.1 and v3"),
         ("info", ValueError, "not the info.json"),

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,6 +114,12 @@ def test_the_claim_for_the_network_is_made_where_it_earns_it(tmp_path):
 def test_steps_at_which_training_becomes_harder_are_marked(tmp_path):
     marks = _marks(results(tmp_path, [flights("world model")]))
     assert marks == {"rollouts of 32 steps": 100, "teacher forcing ends": 100.0}
+
+
+def test_the_report_leads_to_the_replay(tmp_path):
+    told = replace(results(tmp_path, [flights("world model"), flights("dock")]), replay=tmp_path / "replay.html")
+    markdown, page = (path.read_text(encoding="utf-8") for path in write_demo_report(told))
+    assert "[See one of them](replay.html)" in markdown and '<a href="replay.html">' in page
 
 
 def test_the_report_tells_what_was_given_what_failed_and_how_it_was_run(tmp_path):

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from owm.report.plots import hull_distance, save_figure, tolerance_figure, trajectory_figure
+from owm.report.plots import hull_distance, tolerance_figure, trajectory_figure
 from owm.report.tables import definitions_table, docking_table, failures, port_table
 from owm.scores.docking import (
     check_identical_starts,
@@ -27,6 +27,7 @@ from owm.scores.flights import (
 from owm.scores.statistics import rate
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.env import DockingEnv
+from owm_envs.figures import save_figure
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes
 
@@ -90,15 +91,26 @@ def test_seeds_depend_on_port_and_trial_alone():
 
 def test_flights_in_several_batches_are_those_of_one(config, docked):
     seeds, ports = trials(PORTS, 3)
-    told = []
+    told, batches = [], []
     parts = fly_episodes(
-        scripted("dock", config), config, seeds, ports, lambda *now: told.append(now), slots=4, record=False
+        scripted("dock", config), config, seeds, ports, lambda *now: told.append(now), slots=4, keep=batches.append
     )
     assert len(parts) == 6 and len(set(parts.digest)) == 6
     same = parts.select(np.array([0, 1, 3, 4]))
     assert same.digest.tolist() == docked.digest.tolist()
     np.testing.assert_allclose(same.closest_distance, docked.closest_distance, atol=1e-3)
     assert {first for first, *_ in told} == {0, 4}
+    # The recordings are those of the flights: what was true, done, and came of it.
+    assert [len(batch) for batch in batches] == [4, 2]
+    for number, episode in enumerate([*batches[0], *batches[1]]):
+        flown = parts.trajectory[number][np.isfinite(parts.trajectory[number, :, 0])]
+        np.testing.assert_array_equal(episode.true_state.astype(np.float32), flown)
+        force = np.linalg.norm(episode.action[:, :3].astype(float), axis=1)
+        assert force.sum() * parts.decision_dt / config.chaser.mass == pytest.approx(parts.delta_v[number], rel=1e-5)
+        assert (episode.outcome_name, episode.policy_name, episode.port) == ("docked", "dock", parts.port[number])
+        noise = episode.observation["state"] - episode.true_state
+        assert 0.01 < np.linalg.norm(noise[:, :3], axis=1).mean() < 0.1
+        assert len(episode.epoch) == len(flown) and episode.done[-1] and not episode.done[:-1].any()
 
 
 class Recorder:

@@ -1,79 +1,16 @@
 """The `owm-envs` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from owm_envs import __version__
-from owm_envs.shell import resumable, run
-
-
-def generate(
-    out: Path,
-    env: str | None = None,
-    noise: str | None = None,
-    transitions: int = 20_000,
-    val_transitions: int | None = None,
-    seed: int = 0,
-    planner_style: float = 0.0,
-    steps_per_action: int | None = None,
-    episodes_per_batch: int = 64,
-    config: Path | None = None,
-) -> None:
-    """Record a dataset: OUT/train and OUT/val, LeRobot v3.
-
-    Whole episodes are recorded until each split has its transitions. A killed run is resumed by the same command.
-
-    Args:
-        out: Folder to make.
-        env: iss, iss-hcw or iss-numerical (the default).
-        noise: Sensor noise: none, cooperative (the default) or noncooperative.
-        transitions: Least number of transitions of the train split.
-        val_transitions: The same of the val split, which flies to each port at least once; a tenth of train by default.
-        seed: Decides everything random.
-        planner_style: Share of train episodes flown with random wrenches held for 2 s, as a planner's candidates are.
-        steps_per_action: Simulation steps (0.05 s) an action is held for; frames are recorded once an action.
-        episodes_per_batch: Most episodes to fly, and write to one file, at a time.
-        config: TOML file of the environment's configuration; env, noise and steps_per_action win over it if given.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    from owm_envs.config import FIDELITIES, load_config
-    from owm_envs.datasets.generate import Request
-    from owm_envs.datasets.generate import generate as record
-    from owm_envs.words import unknown
-
-    if env is not None and env not in FIDELITIES:
-        raise ValueError(unknown("env", env, FIDELITIES))
-    given = {"fidelity": env, "noise": noise, "steps_per_action": steps_per_action}
-    if config is None and noise is None:
-        given["noise"] = "cooperative"
-    settings = load_config(config, **{name: value for name, value in given.items() if value is not None})
-    val_transitions = max(1, transitions // 10) if val_transitions is None else val_transitions
-    request = Request(transitions, val_transitions, seed, planner_style, episodes_per_batch)
-    resumable()
-    console = Console(stderr=True)
-    bars: dict[str, int] = {}
-    columns = [
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:,.0f} of {task.total:,.0f} transitions"),
-        TimeElapsedColumn(),
-    ]
-    with Progress(*columns, console=console) as bar:
-
-        def show(progress):
-            if progress.split not in bars:
-                bars[progress.split] = bar.add_task(progress.split, total=progress.target)
-            bar.update(bars[progress.split], completed=progress.done)
-
-        summary = record(out, settings, request, announce=lambda text: console.print(f"{text} ..."), progress=show)
-    for split, counts in summary.items():
-        print(f"{out / split}: {counts['episodes']} episodes, {counts['transitions']:,} transitions")
+from owm_envs.commands.record import generate, merge
+from owm_envs.shell import run
 
 
 def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:
@@ -128,22 +65,12 @@ def render(
         speed: Seconds of flight in a second of film.
         sheet: Draw a dozen pictures of each flight as one PNG, and no film.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
-
     from owm_envs.film import film_run
 
     if split is None and (run / "val" / "meta" / "info.json").is_file():
         split = "val"
     folder = run.with_name(f"{run.resolve().name}-films") if out is None else out
-    columns = [
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-    ]
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("frames", total=None)
+    with _progress("frames") as told:
         files = film_run(
             run,
             folder,
@@ -154,7 +81,7 @@ def render(
             fps=fps,
             speed=speed,
             sheet=sheet,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=told,
         )
     for file in files:
         print(file)
@@ -206,6 +133,83 @@ def download(name: Annotated[str, tyro.conf.Positional], out: Path, revision: st
     resumable()
     for repository, commit in fetch(name, out, revision, lambda text: print(text, file=sys.stderr)).items():
         print(f"{out}: {repository} at {commit}")
+
+
+def replay(
+    run: Annotated[Path, tyro.conf.Positional],
+    episode: int = 0,
+    split: str | None = None,
+    out: Path = Path("replay.html"),
+    title: str | None = None,
+    frames: bool = False,
+    size: int = 256,
+    fps: float = 2.0,
+    rerun: bool = False,
+) -> None:
+    """Write a recorded flight as one page that opens from disk: station, chaser, path, time line, curves.
+
+    Camera frames that were recorded are in the page. Without any, the page draws the nose camera itself as it plays.
+
+    Args:
+        run: Folder of a dataset as `owm-envs generate` makes it, or what `owm fly` wrote.
+        episode: Its number, from 0.
+        split: train or val; val by default where there is one.
+        out: File to write, .html.
+        title: What to call the flight.
+        frames: Draw the nose camera's frames with the environment's renderer, in place of recorded ones; takes a while.
+        size: Rows and columns of such a frame, pixels.
+        fps: Such frames a second of flight.
+        rerun: Write a recording for the Rerun viewer too, beside the page, .rrd (extra `rerun`).
+    """
+    from dataclasses import replace
+
+    from owm_envs.files import output_file
+    from owm_envs.replay import film, load, save_page, save_rrd
+    from owm_envs.replay.rrd import require_rerun
+
+    out = output_file(out, ".html")
+    if rerun:
+        require_rerun()
+    flight = load(run, split, episode, title)
+    if frames:
+        with _progress("frames") as told:
+            flight = replace(flight, pictures=film(flight, size, fps, told))
+    files = [save_page(out, flight), *([save_rrd(out.with_suffix(".rrd"), flight)] if rerun else [])]
+    for file in files:
+        print(f"{file}: {file.stat().st_size / 1e6:.1f} MB")
+
+
+def plot(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("dataset.png"), split: str | None = None) -> None:
+    """Draw a dataset: flights by policy with their ends, outcomes, lengths, and what the sensors added to the truth.
+
+    Args:
+        run: Folder of a dataset, as `owm-envs generate` makes it.
+        out: PNG file to write.
+        split: train or val; train by default where there is one.
+    """
+    from owm_envs.datasets.plot import plot_dataset
+    from owm_envs.figures import save_figure
+    from owm_envs.files import output_file
+
+    out = output_file(out, ".png")
+    if split is None and (run / "train" / "meta" / "info.json").is_file():
+        split = "train"
+    with _progress("episodes") as told:
+        figure = plot_dataset(run, split, told)
+    save_figure(figure, out)
+    print(out)
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[int, int | None], None]]:
+    """A bar that is told of how many are done, of how many."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
+
+    columns = [SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()]
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def show(config: Annotated[Path | None, tyro.conf.Positional] = None, preset: str = "data") -> None:
@@ -383,9 +387,12 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     app = tyro.extras.SubcommandApp()
     app.command(generate)
     app.command(verify)
+    app.command(merge)
     app.command(render)
     app.command(push)
     app.command(download)
+    app.command(replay)
+    app.command(plot)
     app.command(config, name="config", help="Print or check a configuration.")
     app.command(ports)
     app.command(station, name="station", help="The station's mesh, its picture, and boxes from a mesh of your own.")

@@ -96,6 +96,22 @@ def inner_path(name: str) -> PurePosixPath:
     return PurePosixPath(name)
 
 
+def output_file(path: str | os.PathLike, suffix: str) -> Path:
+    """Where a file is to go, before any work is done for it: absolute, "~" and links followed.
+
+    Args:
+        suffix: that its name must have, such as ".html".
+
+    Raises:
+        ValueError: it has another one, or is a folder's.
+        NotADirectoryError, PermissionError: as `output_folder`.
+    """
+    path = Path(path).expanduser()
+    if path.suffix.lower() != suffix or path.is_dir():
+        raise ValueError(f"out must be the name of a file that ends in {suffix}, got {path}")
+    return output_folder(path.parent) / path.name
+
+
 class FolderTaken(FileExistsError, ValueError):
     """An output folder holds another run's results, or files of something else: told before any work is done."""
 

@@ -1,28 +1,28 @@
 """Recorded flights as films and contact sheets: the camera, from where a flight went, under the heavens of its time."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from owm_envs.camera.lens import Camera
-from owm_envs.camera.light import heavens
+from owm_envs.camera.light import Heavens, heavens
 from owm_envs.camera.render import render
 from owm_envs.camera.scene import default_scene
 from owm_envs.camera.sky import load_sky
 from owm_envs.camera.views import camera
-from owm_envs.config import DockingConfig, load_config
+from owm_envs.config import DockingConfig
 from owm_envs.config.params import params_from_config
-from owm_envs.datasets.reader import dataset_folder, read
+from owm_envs.datasets.reader import dataset_folder, read, read_config
 from owm_envs.dynamics.chief import kepler_orbit
 from owm_envs.dynamics.state import PhysicalState
 from owm_envs.episode import Episode
 from owm_envs.files import write_atomically
 from owm_envs.flags import own_flags
 from owm_envs.station.ports import PORT_NAMES
+from owm_envs.video import mp4, require_av, save_film
 from owm_envs.view import View
 
 _AT_ONCE = 8  # frames a call: progress is told between, and no more are in memory
@@ -56,60 +56,35 @@ def frames(
 def _shoot(params, scene, lens, start, views, epochs):
     def one(row):
         view, epoch = row
-        elapsed = (epoch[0] - start[0]) * 86_400.0 + (epoch[1] - start[1])
-        orbit = kepler_orbit(params, PhysicalState(start, elapsed, view[:0], None))
-        seen = heavens(epoch, orbit[:3], orbit[3:])
-        return render(scene._replace(heavens=seen), View.of(view), lens)["rgb"]
+        return render(scene._replace(heavens=_above(params, start, epoch)), View.of(view), lens)["rgb"]
 
     return jax.lax.map(one, (views, epochs))
 
 
-def save_film(path: str | Path, images: Iterable[UInt8[np.ndarray, "H W 3"]], fps: float) -> None:
-    """Write pictures as an MP4 (H.264), complete or not at all.
+def _above(params, start, epoch):
+    elapsed = (epoch[0] - start[0]) * 86_400.0 + (epoch[1] - start[1])
+    orbit = kepler_orbit(params, PhysicalState(start, elapsed, epoch[:0], None))
+    return heavens(epoch, orbit[:3], orbit[3:])
 
-    Raises:
-        ImportError: PyAV is not installed.
-        ValueError: the name does not end in .mp4.
+
+def skies(epochs: Float[np.ndarray, "T 2"], config: DockingConfig) -> Heavens:
+    """Where Sun, Moon and Earth stood along a flight, under which `frames` draws; NumPy arrays, leading axis T.
+
+    Args:
+        epochs: [MJD day, s of day] UTC of each instant.
+        config: of the environment: the station's orbit.
     """
-    av, path = _av(), _mp4(path)
-
-    def write(file: Any) -> None:
-        with av.open(file, "w", format="mp4") as container:
-            stream = None
-            for image in images:
-                # H.264 in its common form has colour for pairs of pixels.
-                image = np.pad(image, ((0, image.shape[0] % 2), (0, image.shape[1] % 2), (0, 0)), "edge")
-                if stream is None:
-                    stream = container.add_stream("libx264", rate=round(fps), options={"crf": "18"})
-                    stream.height, stream.width = image.shape[:2]
-                    stream.pix_fmt = "yuv420p"
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")))
-            if stream is not None:
-                container.mux(stream.encode())
-
-    write_atomically(path, write)
+    epochs = np.asarray(epochs, config.precision)
+    with own_flags():
+        params = params_from_config(config)
+        return jax.device_get(jax.jit(jax.vmap(_above, (None, None, 0)))(params, epochs[0], epochs))
 
 
 def film_camera(path: str | Path, name: str, size: int, port: str) -> Camera:
     """Give the camera of a film to be saved as `path`, once nothing stands in its way; raises as `save_film`."""
-    _av()
-    _mp4(path)
+    require_av()
+    mp4(path)
     return camera(name, height=size, width=size, port=port)
-
-
-def _mp4(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise ValueError(f"a film's name must end in .mp4, got {path}")
-    return path
-
-
-def _av() -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise ImportError(f"films need PyAV ({error}): pip install 'outofthisworldmodel-envs[video]'") from error
-    return av
 
 
 def contact_sheet(images: Sequence[UInt8[np.ndarray, "H W 3"]], columns: int = 4) -> UInt8[np.ndarray, "R C 3"]:
@@ -157,7 +132,7 @@ def film_run(
     if not (fps > 0 and speed > 0):
         raise ValueError(f"fps and speed must be above 0, got {fps} and {speed}")
     if not sheet:
-        _av()
+        require_av()
     folder, out = dataset_folder(run, split), Path(out)
     lens_of = [camera(name, height=size, width=size, port=port) for port in PORT_NAMES]
     flights = read(folder)
@@ -165,8 +140,7 @@ def film_run(
     for number in chosen:
         if not 0 <= number < len(flights):
             raise ValueError(f"episodes must be from 0 to {len(flights) - 1}, got {number}")
-    kept = [file for file in (folder / "config.toml", folder.parent / "config.toml") if file.is_file()]
-    config = load_config(kept[0]) if kept else load_config()
+    config = read_config(folder)
     moments = {number: _moments(flights[number], speed / fps, sheet) for number in chosen}
     total, done = sum(map(len, moments.values())), 0
     out.mkdir(parents=True, exist_ok=True)

@@ -3,11 +3,12 @@
 import os
 import pickle
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -137,7 +138,22 @@ def _chunks(env, params, policies, keys, ports, which, length, progress) -> Iter
         del made
 
 
-def episodes(chunks: Iterable[Chunk], *, spill: str | os.PathLike | None = None) -> Iterator[Episode]:
+class Sink(Protocol):
+    """Takes a part of the observation of one episode, some frames at a time."""
+
+    def write(self, frames: Shaped[np.ndarray, "T ..."], /) -> None:
+        """Take the next frames."""
+
+    def close(self) -> Any:
+        """Give what is to stand in the `Episode` in their place."""
+
+
+def episodes(
+    chunks: Iterable[Chunk],
+    *,
+    spill: str | os.PathLike | None = None,
+    sinks: Mapping[str, Callable[[int], Sink]] = MappingProxyType({}),
+) -> Iterator[Episode]:
     """Whole episodes in the order of the slots, each as soon as it and all before it have ended.
 
     Of a chunk only the running episodes' own frames are kept, in the types that an `Episode` has.
@@ -145,23 +161,27 @@ def episodes(chunks: Iterable[Chunk], *, spill: str | os.PathLike | None = None)
     Args:
         spill: folder for what is kept until its episode is handed out, so that memory holds one chunk and one episode,
             however many and long they are; in memory when None. It is emptied at the end.
+        sinks: by a part of the observation that is not to be kept: what makes a slot's sink for it.
     """
     with tempfile.TemporaryDirectory(dir=spill) if spill else nullcontext() as folder:
         running: dict[int, list[Any]] | None = None
+        pouring: dict[int, dict[str, Sink]] = {}
         whole: dict[int, tuple] = {}
         ahead = 0
         for number, chunk in enumerate(chunks):
             if running is None:
                 running = {slot: [] for slot in range(len(chunk.policy))}
+                pouring = {slot: {part: make(slot) for part, make in sinks.items()} for slot in running}
             length = len(chunk.decisions.outcome)
             stops = dict(zip(chunk.ended.tolist(), chunk.stop.tolist()))
             for slot, kept in running.items():
-                piece = _piece(chunk, slot, stops.get(slot, length))
+                piece = _piece(chunk, slot, stops.get(slot, length), pouring[slot])
                 kept.append(piece if folder is None else _put_aside(Path(folder, f"{slot}-{number}"), piece))
             for row, (slot, stop) in enumerate(stops.items()):
                 final = {name: value[row] for name, value in chunk.info.items()}
                 outcome = int(chunk.decisions.outcome[stop - 1, slot])
-                whole[slot] = running.pop(slot), outcome, final, int(chunk.policy[slot])
+                poured = {part: sink.close() for part, sink in pouring.pop(slot).items()}
+                whole[slot] = running.pop(slot), poured, outcome, final, int(chunk.policy[slot])
             del chunk
             while ahead in whole:
                 pieces, *about = whole.pop(ahead)
@@ -182,10 +202,14 @@ def _take_back(path: Path) -> dict[str, Any]:
     return piece
 
 
-def _piece(chunk: Chunk, slot: int, stop: int) -> dict[str, Any]:
-    """Copies of one slot's first `stop` decisions of a chunk and of their frames."""
+def _piece(chunk: Chunk, slot: int, stop: int, sinks: Mapping[str, Sink]) -> dict[str, Any]:
+    """Copies of one slot's first `stop` decisions of a chunk and of their frames, but for what goes into a sink."""
     extra = len(chunk.frames.epoch) - len(chunk.decisions.outcome)
-    frames = jax.tree.map(lambda values: values[: stop + extra, slot].copy(), chunk.frames)
+    for part, sink in sinks.items():
+        sink.write(chunk.frames.observation[part][: stop + extra, slot])
+    kept = {part: values for part, values in chunk.frames.observation.items() if part not in sinks}
+    frames = chunk.frames._replace(observation=kept)
+    frames = jax.tree.map(lambda values: values[: stop + extra, slot].copy(), frames)
     return {
         "observation": frames.observation,
         "true_state": frames.true_state.astype(np.float64),
@@ -195,8 +219,9 @@ def _piece(chunk: Chunk, slot: int, stop: int) -> dict[str, Any]:
     }
 
 
-def _episode(pieces: list[dict[str, Any]], outcome: int, final: dict, policy: int) -> Episode:
+def _episode(pieces: list[dict[str, Any]], poured: dict, outcome: int, final: dict, policy: int) -> Episode:
     joined = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
+    joined["observation"] |= poured
     length = len(joined["reward"])
     last = np.arange(length) == length - 1
     return Episode(

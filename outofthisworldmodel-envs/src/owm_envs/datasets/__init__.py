@@ -5,9 +5,10 @@ episodes of one of ours, bit for bit; `read_statistics(path)` what to normalise 
 """
 
 from owm_envs.datasets.fetch import download, local_dataset
-from owm_envs.datasets.generate import Request, generate
+from owm_envs.datasets.generate import generate
 from owm_envs.datasets.reader import Dataset, read, read_statistics
 from owm_envs.datasets.reader import open_dataset as open
+from owm_envs.datasets.recipe import Request
 from owm_envs.episode import POLICY_NAMES, Episode
 
 __all__ = [

@@ -103,7 +103,7 @@ def dataset_card(
         "",
         "`meta/stats.json` holds the statistics of the **train** split in both splits, so that val is normalised "
         "without having been looked at; each episode's own statistics stand in `meta/episodes`. Padding of the "
-        "terminal rows is left out; quantiles are averages of the episodes' quantiles.",
+        "terminal rows is left out; all are exact, those of pixels too.",
         "",
         '`config.toml` is the environment as run (`gymnasium.make(..., config="config.toml")` takes it), '
         f"`generation.json` the request (seed {asked['seed']}).",
@@ -131,7 +131,8 @@ def reproduce(asked: Mapping[str, Any]) -> str:
         if isinstance(value, bool):
             words += [flag] if value else []
         elif value is not None:
-            words += [flag, *map(str, value if isinstance(value, list | tuple) else [value])]
+            several = [word for pair in value.items() for word in pair] if isinstance(value, Mapping) else value
+            words += [flag, *map(str, several if isinstance(several, list | tuple) else [several])]
     return shlex.join([*words, "--out", "dataset"])
 
 

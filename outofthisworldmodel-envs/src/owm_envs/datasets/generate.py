@@ -1,94 +1,79 @@
-"""Record a dataset: whole episodes in seed order, in batches that a killed run can be resumed from."""
+"""Record a dataset: episodes one by one, each safe once written, then the files made of them.
+
+While one chunk of a batch is simulated and its frames are drawn, the one before is encoded and written.
+"""
 
 import errno
+import itertools
 import math
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.card import dataset_card
-from owm_envs.datasets.writer import SplitWriter
+from owm_envs.datasets.manifest import write_manifest
+from owm_envs.datasets.pieces import Film, Pieces
+from owm_envs.datasets.recipe import SPLITS, Flight, Request, Split, batch_size, flights, splits
+from owm_envs.datasets.schema import features_of, part_of
+from owm_envs.datasets.versions import versions
+from owm_envs.datasets.writer import Written, write_meta, write_split
 from owm_envs.episode import POLICY_NAMES, Episode
-from owm_envs.files import JOURNAL, check_free, output_folder, publish, published, remove, strangers, write_atomically
-from owm_envs.station.ports import PORT_NAMES, TRAIN_PORTS, port_index
-from owm_envs.words import checked_seed
+from owm_envs.files import (
+    JOURNAL,
+    FolderTaken,
+    check_free,
+    output_folder,
+    publish,
+    published,
+    remove,
+    strangers,
+    write_atomically,
+)
+from owm_envs.pipeline import ahead
+from owm_envs.station.ports import PORT_NAMES
+from owm_envs.video import require_av
 
 if TYPE_CHECKING:
     from owm_envs.task.sensors import Sensor
 
-FORMAT = 1
-"""Raised whenever equal requests would record other episodes."""
-BEHAVIOUR_MIX = {"random": 0.30, "orbit": 0.35, "dock": 0.35}
-"""Share of each policy among the train episodes. Source: the paper's data generation."""
-BYTES_PER_TRANSITION = 300
-"""Upper estimate of a transition on disk without pixels, measured."""
-_CHUNK_BYTES = 2**27
-"""Of pixels and the like that a chunk of a rollout may hold."""
+FORMAT = 2
+"""Raised whenever equal requests would record other episodes, or keep them in another way until they are a dataset."""
+BYTES_PER_TRANSITION = 600
+"""Upper estimate of a transition on disk without pixels while it is a piece and in its dataset, measured."""
+_CHUNK_BYTES = 2**26
+"""Of pixels and the like that a chunk of a rollout may hold; three of them are in memory at a time."""
+MARKER, PIECES, _SPILL, _LOCK = "generation.json", "pieces", "spill", ".lock"
 
 
-@dataclass(frozen=True)
-class Request:
-    """What to record. Train flies the mix at the configured train ports, val flies dock at every configured port.
+class Shard(NamedTuple):
+    """One of several runs that share the work: every `count`-th batch from the `index`-th on, from 0."""
 
-    `planner_style` is the share of train episodes flown by "excite"; the rest keeps the mix.
-    """
+    index: int
+    count: int
 
-    transitions: int = 20_000
-    val_transitions: int = 2_000
-    seed: int = 0
-    planner_style: float = 0.0
-    episodes_per_batch: int = 64
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """Read "2/4": the second of four.
 
-    def __post_init__(self):
-        for name in ("transitions", "val_transitions", "episodes_per_batch"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.planner_style <= 1:
-            raise ValueError(f"planner_style must be from 0 to 1, got {self.planner_style}")
-        checked_seed(self.seed, bits=32)
+        Raises:
+            ValueError: it is no such thing.
+        """
+        first, slash, second = text.partition("/")
+        if not (slash and first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second)):
+            raise ValueError(f"shard must be like 2/4, the second of four, got {text!r}")
+        return cls(int(first) - 1, int(second))
 
-
-class Flight(NamedTuple):
-    """What an episode of a split is to be: its policy and port."""
-
-    policy: str
-    port: int
-
-
-def train_flights(request: Request, config: DockingConfig) -> Iterator[Flight]:
-    """The endless sequence of train flights.
-
-    Policies and ports are spread evenly from the first episode on, not drawn one by one, so that a small dataset has
-    its share of each: policies by a golden-ratio sequence through the mix, ports by shuffled rounds.
-    """
-    ports = [port_index(name) for name in config.ports if name in TRAIN_PORTS]
-    if not ports:
-        raise ValueError(f"ports must name at least one train port ({', '.join(TRAIN_PORTS)}), got {config.ports}")
-    shares = {name: share * (1 - request.planner_style) for name, share in BEHAVIOUR_MIX.items()}
-    shares["excite"] = request.planner_style
-    names, edges = list(shares), np.cumsum(list(shares.values()))
-    draws = np.random.default_rng([request.seed, 0])
-    place = draws.random()
-    while True:
-        for port in draws.permutation(ports):
-            choice = int(np.searchsorted(edges, place * edges[-1], side="right"))
-            yield Flight(names[min(choice, len(names) - 1)], int(port))
-            place = (place + 0.6180339887498949) % 1.0
-
-
-def val_flights(request: Request, config: DockingConfig) -> Iterator[Flight]:
-    """The endless sequence of val flights: dock at each configured port in turn."""
-    while True:
-        for name in config.ports:
-            yield Flight("dock", port_index(name))
+    def __str__(self) -> str:
+        return f"{self.index + 1}/{self.count}"
 
 
 class Progress(NamedTuple):
@@ -97,6 +82,8 @@ class Progress(NamedTuple):
     split: str
     done: int
     target: int
+    bytes: int
+    """Written so far."""
 
 
 def generate(
@@ -105,81 +92,120 @@ def generate(
     request: Request,
     *,
     sensors: "Sequence[Sensor]" = (),
+    shard: Shard | None = None,
     announce: Callable[[str], None] = lambda message: None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> dict:
     """Record `out/train` and `out/val`, each a LeRobot v3 dataset.
 
     Everything is written below `out.partial`, which becomes `out` in one step at the end. A run that was killed is
-    resumed, batch by batch, by the same call; its result is the same as if it had not been. A finished one is kept.
+    resumed by the same call, after the last episode that was whole; its result is the same to the byte as if it had
+    not been. A finished one is kept.
 
     Args:
         out: folder to make; new or empty.
         sensors: what chasers carry beside relative navigation; each is a column `observation.NAME` more.
+        shard: record only this share of the episodes; `merge` makes the dataset of all shares.
         announce: told in words what begins.
         progress: told how far it is.
 
     Returns:
-        Counts of episodes, transitions, policies and outcomes of each split, as in `generation.json`.
+        Counts of episodes, transitions, policies and outcomes of each split, as in `generation.json`; of a shard what
+        it recorded.
 
     Raises:
         FolderTaken: `out` holds something else, or an unfinished run of other settings stands in its way.
         ValueError: no train port is configured.
+        ImportError: frames are to be recorded, and PyAV is not installed.
         OSError: the disk is full.
     """
     out = output_folder(out)
     partial = out.with_name(out.name + ".partial")
-    settings = {"format": FORMAT, "request": asdict(request), "environment": config.model_dump(mode="json")}
-    settings["sensors"] = [repr(sensor) for sensor in sensors] or None
+    settings = settings_of(config, request, sensors, shard)
     moved = published(partial)
-    done = Claim(out, settings, "generation.json", besides=moved)
+    done = Claim(out, settings, MARKER, besides=moved)
     if result := (done.found or {}).get("result"):
         if partial.is_dir() and not strangers(partial, [JOURNAL]):
             remove(partial)  # the last that was left to do when the run was killed
         announce(f"{out} is complete already")
         return result
     check_free(out, moved)
-    claim = Claim(partial, settings, "generation.json")
-    if result := (claim.found or {}).get("result"):
-        publish(partial, out)  # all that was left to do
+    claim = Claim(partial, settings, MARKER)
+    if result := (claim.found or {}).get("result"):  # all that was left to do
+        if shard is None and not moved:
+            write_manifest(partial)
+        publish(partial, out)
         return result
-    flights = {"train": train_flights(request, config), "val": val_flights(request, config)}
-    next(train_flights(request, config))  # refuse a configuration without train ports before anything is written
-    targets = {"train": request.transitions, "val": request.val_transitions}
-    least = {"train": 1, "val": len(config.ports)}
-
+    plan = splits(request, config)  # refuses what cannot be before anything is written
     parts = _parts(config, sensors)
-    _check_space(partial, config, targets, least, parts)
+    videos = [part_of(name) for name, feature in features_of(parts).items() if feature.is_video]
+    if videos:
+        require_av()
+    _check_space(partial, config, plan, parts)
     if claim.found:
         announce(f"resuming {partial}")
     claim.note()
+    # Held until this process ends, however it ends.
+    lock = FileLock(partial / _LOCK, timeout=0)
     try:
-        summary = {}
-        writers = {}
-        spill = partial / "spill"  # what a killed run left there is of no use
-        shutil.rmtree(spill, ignore_errors=True)
-        spill.mkdir()
-        recorder = _Recorder(config, request, sensors, parts, spill, announce, progress)
-        for split in ("train", "val"):
-            writers[split] = SplitWriter(partial / split, 1 / config.decision_dt, parts)
-            recorder.record(split, writers[split], flights[split], targets[split], least[split])
-        statistics = writers["train"].statistics()
-        for split, writer in writers.items():
-            writer.finish(statistics)
-            summary[split] = _summary(partial / split, writer)
-        shutil.rmtree(spill)
-        texts = {"config.toml": config.to_toml(), "README.md": dataset_card(config, request, summary, parts)}
-        for name, text in texts.items():
-            write_atomically(partial / name, lambda file, text=text: file.write(text), text=True)
-        claim.note(policies=list(POLICY_NAMES), result=summary)
+        lock.acquire()
+        remove(partial / _SPILL)  # what a killed run left there is of no use
+        recorder = _Recorder(config, request, sensors, parts, videos, partial, shard, announce, progress)
+        numbers = {name: recorder.record(split) for name, split in plan.items()}
+        if shard is None:
+            summary = _assemble(partial, numbers, 1 / config.decision_dt, parts, announce)
+            texts = {"config.toml": config.to_toml(), "README.md": _card(config, request, summary, parts, settings)}
+            for name, text in texts.items():
+                write_atomically(partial / name, lambda file, text=text: file.write(text), text=True)
+            remove(partial / PIECES)
+        else:
+            summary = {name: {"episodes": len(own)} for name, own in numbers.items()}
+        remove(partial / _SPILL)
+        claim.note(policies=list(POLICY_NAMES), versions=versions(), result=summary)
+        if shard is None:
+            write_manifest(partial)
+    except Timeout:
+        raise FolderTaken(
+            f"another process is recording into {partial}: wait for it, or choose another folder"
+        ) from None
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise OSError(
                 errno.ENOSPC, f"the disk is full; free some space and run the same again to go on from {partial}"
             ) from None
         raise
+    finally:
+        lock.release()
+    (partial / _LOCK).unlink(missing_ok=True)
     publish(partial, out)
     return summary
+
+
+def settings_of(
+    config: DockingConfig, request: Request, sensors: "Sequence[Sensor]" = (), shard: Shard | None = None
+) -> dict[str, Any]:
+    """What tells two runs apart."""
+    settings = {"format": FORMAT, "request": request.settings(), "environment": config.model_dump(mode="json")}
+    settings["sensors"] = [repr(sensor) for sensor in sensors] or None
+    return settings if shard is None else settings | {"shard": str(shard)}
+
+
+def _card(config: DockingConfig, request: Request, summary: dict, parts: dict, settings: dict) -> str:
+    return dataset_card(config, request.settings(), summary, parts, sensors=settings["sensors"], versions=versions())
+
+
+def _assemble(
+    partial: Path, numbers: dict[str, list[int]], fps: float, parts: dict[str, Any], announce: Callable[[str], None]
+) -> dict[str, dict]:
+    """Make the files of the splits; give what they came to. Killed, it is done again from the pieces."""
+    announce("writing the files of the dataset")
+    written: dict[str, Written] = {}
+    for name, own in numbers.items():
+        remove(partial / name)
+        written[name] = write_split(partial / name, Pieces(partial / PIECES / name), own, fps, parts)
+    for name, split in written.items():
+        write_meta(partial / name, split, written["train"].statistics, fps, parts)
+    return {name: _summary(partial / name, split) for name, split in written.items()}
 
 
 def _parts(config: DockingConfig, sensors: "Sequence[Sensor]") -> dict[str, Any]:
@@ -193,20 +219,26 @@ def _parts(config: DockingConfig, sensors: "Sequence[Sensor]") -> dict[str, Any]
     return {name: part for name, part in parts.items() if name != STATE}
 
 
-def _check_space(partial: Path, config: DockingConfig, targets: dict, least: dict, parts: dict) -> None:
+def _check_space(partial: Path, config: DockingConfig, plan: dict[str, Split], parts: dict[str, Any]) -> None:
     longest = config.horizon_decisions
-    expected = sum(max(targets[split], least[split] * longest) for split in targets) + longest
+    expected = sum(max(split.transitions, split.episodes * longest) for split in plan.values()) + longest
     there = sum(file.stat().st_size for file in partial.rglob("*") if file.is_file())
     disk = next(folder for folder in partial.absolute().parents if folder.exists())
-    needed, free = expected * (BYTES_PER_TRANSITION + _frame_bytes(parts)) - there, shutil.disk_usage(disk).free
+    # What is encoded takes a tenth at most; it is there twice while files are made.
+    pixels = sum(_bytes(part) * (0.2 if _is_video(name, part) else 2.0) for name, part in parts.items())
+    needed, free = expected * (BYTES_PER_TRANSITION + pixels) - there, shutil.disk_usage(disk).free
     if needed > free:
         raise OSError(
             errno.ENOSPC, f"{expected:,} transitions may take {needed / 1e6:,.0f} MB; {free / 1e6:,.0f} MB are free"
         )
 
 
-def _frame_bytes(parts: dict[str, Any]) -> int:
-    return sum(math.prod(part.shape) * np.dtype(part.dtype).itemsize for part in parts.values())
+def _bytes(part: Any) -> int:
+    return math.prod(part.shape) * np.dtype(part.dtype).itemsize
+
+
+def _is_video(name: str, part: Any) -> bool:
+    return any(feature.is_video for feature in features_of({name: part}).values())
 
 
 class _Recorder:
@@ -218,41 +250,79 @@ class _Recorder:
         request: Request,
         sensors: "Sequence[Sensor]",
         parts: dict[str, Any],
-        spill: Path,
+        videos: list[str],
+        folder: Path,
+        shard: Shard | None,
         announce: Callable[..., None],
         progress: Callable[..., None],
     ):
-        self.config, self.request, self.sensors, self.spill = config, request, sensors, spill
-        self.announce, self.progress = announce, progress
+        self.config, self.request, self.sensors, self.shard = config, request, sensors, shard
+        self.videos, self.folder, self.announce, self.progress = videos, folder, announce, progress
         self.longest = config.horizon_decisions
-        # Episodes that end early are about a seventh; batches of equal size waste the fewest flights.
-        likely = math.ceil(1.15 * request.transitions / self.longest)
-        batches = math.ceil(likely / request.episodes_per_batch)
-        self.batch = min(request.episodes_per_batch, 8 * math.ceil(likely / batches / 8))
+        self.batch = batch_size(request, config)
         # Decisions a chunk: the usual number, or what pixels leave room for.
-        self.chunk = max(8, min(360, _CHUNK_BYTES // max(1, self.batch * _frame_bytes(parts))))
-        self._env = None
+        frame = sum(map(_bytes, parts.values()))
+        self.chunk = max(8, min(360, _CHUNK_BYTES // max(1, self.batch * frame)))
+        self._env: Any = None
+        self._policies: dict[str, Any] = {}
 
-    def record(self, split: str, writer: SplitWriter, flights: Iterator[Flight], target: int, least: int) -> None:
-        """Fly until the split has whole episodes for `target` transitions and at least `least` of them."""
-        planned = writer.episodes
-        for _ in range(planned):
-            next(flights)
-        while writer.transitions < target or writer.episodes < least:
-            before = writer.transitions
-            self.progress(Progress(split, min(before, target), target))
-            remaining = max(target - before, 0)
-            batch = [next(flights) for _ in range(self.batch)]
+    def record(self, split: Split) -> list[int]:
+        """Put away the episodes of a split, or a shard's share of them; give the numbers of those that belong to it.
 
-            def flown(steps, running, before=before, remaining=remaining):
+        An episode depends on its number alone, so that it may be recorded in any run and order. Which is the last one
+        depends on how long those before it are.
+        """
+        pieces = Pieces(self.folder / PIECES / split.name)
+        planned, numbers, transitions = flights(split), [], 0
+        # A shard ends with the batch that fills its share; what all of them leave to be recorded, `merge` does.
+        share = 1 if self.shard is None else self.shard.count
+        target, least = math.ceil(split.transitions / share), math.ceil(split.episodes / share)
+
+        def tell(done: float) -> None:
+            self.progress(Progress(split.name, int(min(done, target)), target, pieces.bytes))
+
+        for batch in itertools.count():
+            if transitions >= target and len(numbers) >= least:
+                break
+            batch_flights = list(islice(planned, self.batch))
+            if self.shard is not None and batch % self.shard.count != self.shard.index:
+                continue
+            before = transitions
+
+            def flown(steps: int, running: int, before: int = before) -> None:
                 share = min(1.0, steps / self.longest)
-                self.progress(Progress(split, int(min(before, target) + share * remaining), target))
+                tell(min(before, target) + share * max(min(target - before, self.batch * self.longest), 0))
 
-            with closing(self._fly(split, writer.episodes, batch, flown)) as flown_by:
-                writer.write(_enough(flown_by, target - before, least - writer.episodes))
-        self.progress(Progress(split, target, target))
+            tell(before)
+            with closing(self._recorded(split, pieces, batch_flights, batch * self.batch, flown)) as recorded:
+                for number, decisions in recorded:
+                    numbers.append(number)
+                    transitions += decisions
+                    # In seed order, never those that ended first: that would favour collisions.
+                    if self.shard is None and transitions >= target and len(numbers) >= least:
+                        break
+        tell(target)
+        return numbers
 
-    def _fly(self, split, first, batch, flown):
+    def _recorded(
+        self, split: Split, pieces: Pieces, batch: list[Flight], first: int, flown: Callable[[int, int], None]
+    ) -> Iterator[tuple[int, int]]:
+        """Numbers and decisions of a batch's episodes; it is flown when one is asked for that is not there yet."""
+        missing = [number for number in range(first, first + len(batch)) if number not in pieces]
+        for number in range(first, missing[0] if missing else first + len(batch)):
+            yield number, pieces.decisions(number)
+        if not missing:
+            return
+        with closing(self._fly(split, batch, first, flown)) as episodes:
+            for number, episode in enumerate(episodes, first):
+                if number in missing:
+                    pieces.put(number, episode, 1 / self.config.decision_dt)
+                if number >= missing[0]:
+                    yield number, pieces.decisions(number)
+
+    def _fly(
+        self, split: Split, batch: list[Flight], first: int, flown: Callable[[int, int], None]
+    ) -> Iterator[Episode]:
         import jax
 
         from owm_envs.env import DockingEnv
@@ -262,37 +332,30 @@ class _Recorder:
         if self._env is None:
             self.announce("compiling the simulator, once; this takes a while")
             self._env = DockingEnv(self.config, sensors=self.sensors)
-            names = [*BEHAVIOUR_MIX, *(["excite"] if self.request.planner_style else [])]
-            self._policies = {name: make_policy(name, self._env) for name in names}
-        names = list(self._policies)
-        base = jax.random.fold_in(jax.random.key(np.uint32(self.request.seed)), ("train", "val").index(split))
+        names = [name for name, share in split.policies.items() if share]
+        for name in names:
+            if name not in self._policies:
+                self._policies[name] = make_policy(name, self._env)
+        spill = self.folder / _SPILL
+        spill.mkdir(parents=True, exist_ok=True)
+        base = jax.random.fold_in(jax.random.key(np.uint32(self.request.seed)), SPLITS.index(split.name))
         numbers = np.arange(first, first + len(batch), dtype=np.uint32)
         keys = jax.vmap(jax.random.fold_in, in_axes=(None, 0))(base, numbers)
         chunks = rollout(
             self._env,
-            list(self._policies.values()),
+            [self._policies[name] for name in names],
             keys,
             np.array([flight.port for flight in batch]),
             which=np.array([names.index(flight.policy) for flight in batch]),
             chunk=self.chunk,
             progress=flown,
         )
-        return episodes(chunks, spill=self.spill)
+        fps = 1 / self.config.decision_dt
+        sinks = {part: lambda slot, part=part: Film(spill / f"{slot}.{part}.mp4", fps) for part in self.videos}
+        return episodes(ahead(chunks), spill=spill, sinks=sinks)
 
 
-def _enough(episodes: Iterator[Episode], transitions: int, least: int) -> Iterator[Episode]:
-    """The first episodes that hold so many transitions, and at least so many of them.
-
-    In seed order, never those that ended first: that would favour collisions.
-    """
-    for count, episode in enumerate(episodes):
-        if transitions <= 0 and count >= least:
-            return
-        transitions -= len(episode)
-        yield episode
-
-
-def _summary(folder: Path, writer: SplitWriter) -> dict:
+def _summary(folder: Path, written: Written) -> dict:
     import pyarrow.parquet as pq
 
     from owm_envs.task.events import Outcome
@@ -301,8 +364,8 @@ def _summary(folder: Path, writer: SplitWriter) -> dict:
     table = pq.read_table(folder / "data", columns=columns, filters=[("frame_index", "==", 0)])
     policies, ports, outcomes = (table[name].to_pylist() for name in columns)
     return {
-        "episodes": writer.episodes,
-        "transitions": writer.transitions,
+        "episodes": written.episodes,
+        "transitions": written.transitions,
         "policies": dict(Counter(POLICY_NAMES[i] for i in policies)),
         "ports": dict(Counter(PORT_NAMES[i] for i in ports)),
         "outcomes": dict(Counter(Outcome(i).name.lower() for i in outcomes)),

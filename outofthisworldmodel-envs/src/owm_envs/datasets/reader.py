@@ -1,12 +1,13 @@
 """Read datasets of recorded flights, episode by episode, and refuse what is damaged."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
 
+from owm_envs.config import DockingConfig, load_config
 from owm_envs.datasets.cache import Cache
 from owm_envs.datasets.checks import check_episode, check_finite
 from owm_envs.datasets.fetch import local_dataset
@@ -25,14 +26,11 @@ from owm_envs.datasets.metadata import (
 from owm_envs.datasets.parse import read_json, read_lines, read_rows, row_count, schema_of
 from owm_envs.datasets.published import PUBLISHED_COLUMNS, episode_from_published
 from owm_envs.datasets.runs import Run, run_of
-from owm_envs.datasets.schema import FEATURES, episode_from_columns
+from owm_envs.datasets.schema import FEATURES, OBSERVATION, episode_from_columns, part_of
 from owm_envs.datasets.statistics import Statistics
 from owm_envs.datasets.windows import Windows
 from owm_envs.episode import Episode
 
-VIDEO = "observation.images.fpv"
-"""The feature that is the part `pixels` of an observation, as a video."""
-_PIXELS = "observation.pixels"
 _OWN = ("goal_pose", "outcome", "observation.environment_state")
 _CACHE_BYTES = 2**28
 
@@ -98,9 +96,8 @@ class Dataset(Sequence[Episode]):
         if self.published:
             with np.errstate(over="ignore"):
                 return episode_from_published(columns)
-        if VIDEO in columns:
-            columns[_PIXELS] = columns.pop(VIDEO)
-        return episode_from_columns(columns)
+        videos = {OBSERVATION + part_of(key): columns.pop(key) for key in self.layout.videos}
+        return episode_from_columns(columns | videos)
 
     @property
     def fps(self) -> float | None:
@@ -237,6 +234,27 @@ def read(path: str | os.PathLike, split: str | None = None) -> list[Episode]:
     return open_dataset(path, split).episodes()
 
 
+def episodes(path: str | os.PathLike, split: str | None = None) -> Iterator[Episode]:
+    """The same one by one: no more than one is held at a time; raises as `read`, while it is read."""
+    return iter(open_dataset(path, split))
+
+
+def read_episode(path: str | os.PathLike, split: str | None = None, number: int = 0) -> Episode:
+    """Read one episode.
+
+    Args:
+        path, split: as `open_dataset` takes them.
+        number: of the episode, from 0.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read`, or there is no episode of that number.
+    """
+    dataset = open_dataset(path, split)
+    if not 0 <= number < len(dataset):
+        raise ValueError(f"episode must be from 0 to {len(dataset) - 1} in {dataset.folder}, got {number}")
+    return dataset[number]
+
+
 def dataset_folder(path: str | os.PathLike, split: str | None = None) -> Path:
     """The folder of the LeRobot dataset meant by `path` and `split`.
 
@@ -256,9 +274,21 @@ def dataset_folder(path: str | os.PathLike, split: str | None = None) -> Path:
         return root / split
     if (root / "meta" / "info.json").is_file():
         return root
+    if len(splits) == 1:
+        return root / splits[0]
     if splits:
         raise ValueError(f"{root} holds the splits {', '.join(splits)}: name one")
     raise ValueError(f"{root} is not a LeRobot dataset: it has no meta/info.json")
+
+
+def read_config(folder: Path) -> DockingConfig:
+    """The configuration of the environment that a dataset was recorded in; the default one if none lies with it.
+
+    Args:
+        folder: of the dataset, or of a split of it.
+    """
+    kept = [file for file in (folder / "config.toml", folder.parent / "config.toml") if file.is_file()]
+    return load_config(kept[0]) if kept else load_config()
 
 
 def read_statistics(path: str | os.PathLike, split: str | None = "train") -> Statistics:

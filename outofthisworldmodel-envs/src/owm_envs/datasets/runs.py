@@ -41,8 +41,7 @@ class Run(NamedTuple):
             raise ValueError(f"{path} is not listed in {self.root / MANIFEST}")
         if not path.is_file():
             raise FileNotFoundError(f"{path} is missing; {MANIFEST} lists it")
-        entry = self.entries[name]
-        check_entry(path, entry if content else entry._replace(sha256=""))
+        check_entry(path, self.entries[name], content=content)
 
     def results(self) -> list[dict[str, Any]]:
         """What the run recorded as this split; as each of its splits, where it does not tell which this is."""

@@ -13,11 +13,16 @@ CODEBASE_VERSION = "v3.0"
 
 
 class Feature(NamedTuple):
-    """A column: its NumPy dtype name, the shape of a row, and a name for each number."""
+    """A column: its NumPy dtype name, or "video"; the shape of a row; a name for each number, or axis of a frame."""
 
     dtype: str
     shape: tuple[int, ...]
     names: list[str] | None = None
+
+    @property
+    def is_video(self) -> bool:
+        """Whether its frames lie in files of their own."""
+        return self.dtype == VIDEO
 
 
 FEATURES: dict[str, Feature] = {
@@ -41,12 +46,33 @@ FEATURES: dict[str, Feature] = {
 """Columns that every file has, in order; the last five are LeRobot's own."""
 OBSERVATION = "observation."
 """How the column of a part of the observation begins."""
+VIDEO = "video"
+_IMAGES = "observation.images."
+_VIEWS = {"pixels": "fpv"}
+"""What a part is called among the images of a dataset, where not by its own name."""
 
 
 def features_of(parts: Mapping[str, Any]) -> dict[str, Feature]:
-    """The columns of episodes with these parts of the observation, each of a `shape` and `dtype`, by their names."""
-    named = {OBSERVATION + name: Feature(np.dtype(part.dtype).name, tuple(part.shape)) for name, part in parts.items()}
+    """The columns of episodes with these parts of the observation, each of a `shape` and `dtype`, by their names.
+
+    Frames of three channels of 8 bits become videos.
+    """
+    named = {}
+    for name, part in parts.items():
+        dtype, shape = np.dtype(part.dtype).name, tuple(part.shape)
+        if dtype == "uint8" and len(shape) == 3 and shape[2] == 3:
+            named[_IMAGES + _VIEWS.get(name, name)] = Feature(VIDEO, shape, ["height", "width", "channels"])
+        else:
+            named[OBSERVATION + name] = Feature(dtype, shape)
     return FEATURES | {name: feature for name, feature in named.items() if name not in FEATURES}
+
+
+def part_of(column: str) -> str:
+    """The part of the observation that a column, or a video, holds."""
+    if column.startswith(_IMAGES):
+        view = column.removeprefix(_IMAGES)
+        return next((part for part, known in _VIEWS.items() if known == view), view)
+    return column.removeprefix(OBSERVATION)
 
 
 def part_columns(names: Iterable[str]) -> list[str]:
@@ -57,7 +83,7 @@ def part_columns(names: Iterable[str]) -> list[str]:
 def columns_from_episode(
     episode: Episode, *, episode_index: int, first_index: int, fps: float
 ) -> dict[str, np.ndarray]:
-    """Lay an episode of T decisions out as T + 1 rows.
+    """Lay an episode of T decisions out as T + 1 rows; parts of the observation that are not arrays are left out.
 
     The last row holds the terminal observation, a zero action and reward, and `next.done`: it starts no transition.
     """
@@ -86,7 +112,9 @@ def columns_from_episode(
         "index": first_index + np.arange(rows),
         "task_index": repeated(episode.port, np.int64),
     }
-    columns |= {OBSERVATION + name: values for name, values in episode.observation.items()}
+    columns |= {
+        OBSERVATION + name: values for name, values in episode.observation.items() if isinstance(values, np.ndarray)
+    }
     typed = {name: columns.pop(name).astype(feature.dtype) for name, feature in FEATURES.items()}
     return typed | columns
 

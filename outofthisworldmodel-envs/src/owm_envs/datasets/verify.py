@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,20 @@ from owm_envs.datasets.manifest import MANIFEST, differences, load_manifest
 from owm_envs.datasets.metadata import check_tallies, tallies
 from owm_envs.datasets.parse import read_rows, schema_of
 from owm_envs.datasets.reader import Dataset
-from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
+from owm_envs.datasets.statistics import (
+    WIDEST,
+    Statistics,
+    counted_rows,
+    episode_statistics,
+    exact_quantiles,
+    pixel_statistics,
+    united,
+)
 from owm_envs.episode import Episode
 
 OK, WRONG, SKIPPED = "ok", "wrong", "not checked"
+COLOURS = 0.02
+"""How far mean and deviation of decoded colours, 0 to 1, may lie from those before they were encoded."""
 _MOST_TOLD = 20
 
 
@@ -170,10 +181,8 @@ def _statistics(dataset: Dataset, folders: list[Path], split: str) -> Iterator[F
         told = dataset.statistics
         train = next((folder for folder in folders if folder.name == "train"), dataset.folder)
         source = dataset if train == dataset.folder else Dataset(train)
-        parts = []
-        for number in range(len(source)):
-            parts.append(_of_episode(source, number))
-        wrong += _compare(dataset.folder / "meta" / "stats.json", aggregate(parts), told)
+        parts = [_of_episode(source, number) for number in range(len(source))]
+        wrong += _compare(dataset.folder / "meta" / "stats.json", _together(source, parts), told)
         wrong += _compare_episodes(dataset, parts if source is dataset else None)
     except (ValueError, FileNotFoundError) as error:
         wrong.append(str(error))
@@ -184,6 +193,22 @@ def _of_episode(dataset: Dataset, number: int) -> Statistics:
     """Statistics of an episode's columns; its videos are looked at elsewhere."""
     columns = dataset.columns(number)
     return episode_statistics({name: values for name, values in columns.items() if isinstance(values, np.ndarray)})
+
+
+def _together(dataset: Dataset, parts: list[Statistics]) -> Statistics:
+    """Statistics of all rows, quantiles found among them anew, a column at a time."""
+
+    def rows(name: str) -> Iterator[np.ndarray]:
+        for number in range(len(dataset)):
+            span = dataset.layout.span(number)
+            found = read_rows(span.path, [name], span.first, span.first + span.rows)[name]
+            yield counted_rows(name, found)
+
+    whole: Statistics = {}
+    for part in parts:
+        whole = united(whole, part)
+    narrow = [name for name, part in whole.items() if part["mean"].size <= WIDEST]
+    return whole | {name: whole[name] | exact_quantiles(partial(rows, name)) for name in narrow}
 
 
 def _compare(path: Path, found: Statistics, told: Statistics) -> list[str]:
@@ -227,34 +252,45 @@ def _compare_episodes(dataset: Dataset, parts: list[Statistics] | None) -> list[
 
 
 def _frames(dataset: Dataset, split: str) -> Iterator[Finding]:
-    """Each video decodes, and has a frame for each row, at the row's time."""
+    """Each video decodes, and has a frame for each row, at the row's time; colours are as the statistics say."""
     layout, wrong, count = dataset.layout, [], 0
     for key, (paths, which, start) in layout.videos.items():
         if not dataset.ours and 3 not in dataset.features[key]["shape"]:
             continue
+        histogram, frames = np.zeros((3, 256), np.int64), 0
         for number, path in enumerate(paths):
             inside = np.flatnonzero(which == number)
-            wanted = {
-                place
-                for episode in inside
-                for place in round(float(start[episode]) * dataset.fps) + np.arange(layout.rows[episode])
-            }
+            first = [round(float(start[episode]) * dataset.fps) for episode in inside]
+            wanted = {row for begin, episode in zip(first, inside) for row in begin + np.arange(layout.rows[episode])}
             try:
-                shape = (*dataset.columns(int(inside[0]))[key].shape[1:],)
-                seen = set()
+                shape, seen = dataset.columns(int(inside[0]))[key].shape[1:], set()
                 for place, image in decode(path, dataset.fps, 0, 1 << 62):
-                    if image.shape != shape:
-                        raise ValueError(f"{path}: frame {place} is {image.shape}, info.json tells of {shape}")
+                    if image.shape != tuple(shape):
+                        raise ValueError(f"{path}: frame {place} is {image.shape}, info.json tells of {tuple(shape)}")
                     seen.add(place)
+                    histogram += [np.bincount(image[..., channel].ravel(), minlength=256) for channel in range(3)]
                 if wanted != seen:
                     odd = min(wanted ^ seen)
                     told = "is missing" if odd in wanted else "belongs to no row"
                     wrong.append(f"{path}: {len(seen)} frames for {len(wanted)} rows; frame {odd} {told}")
-                count += len(seen)
+                frames += len(seen)
             except (ValueError, FileNotFoundError) as error:
                 wrong.append(str(error))
+        if dataset.ours and split != "val" and not wrong:  # val has the statistics of train
+            wrong += _compare_colours(dataset, key, pixel_statistics(histogram, frames))
+        count += frames
     if layout.videos:
         yield from _outcome("frames", split, wrong, f"{count:,} decoded, one a row")
+
+
+def _compare_colours(dataset: Dataset, key: str, found: dict[str, np.ndarray]) -> Iterator[str]:
+    """The statistics of a video, which are of the frames before they were encoded: nearly those of what is decoded."""
+    path = dataset.folder / "meta" / "stats.json"
+    for name in ("mean", "std"):
+        told = dataset.statistics.get(key, {}).get(name)
+        if told is None or told.size != 3 or np.abs(told.reshape(3) - found[name].reshape(3)).max() > COLOURS:
+            came = "missing" if told is None else _told(told.reshape(-1))
+            yield f"{path}: {name} of {key} is {came}; its frames give {_told(found[name].reshape(-1))}"
 
 
 def _physics(dataset: Dataset, split: str) -> Iterator[Finding]:

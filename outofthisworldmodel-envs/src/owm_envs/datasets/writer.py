@@ -1,149 +1,267 @@
-"""Write one split as a LeRobot v3 dataset: a data file and an episode file for each batch, metadata at the end."""
+"""Make a LeRobot v3 dataset of recorded episodes: a pure function of them, whoever recorded them, and when."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from types import MappingProxyType
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, columns_from_episode, features_of
-from owm_envs.datasets.statistics import Statistics, aggregate, episode_statistics
+from owm_envs.config import DockingConfig
+from owm_envs.datasets.pieces import Piece, Pieces, arrow, from_arrow
+from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, Feature, features_of, part_of
+from owm_envs.datasets.statistics import (
+    WIDEST,
+    Statistics,
+    counted_rows,
+    episode_statistics,
+    exact_quantiles,
+    pixel_statistics,
+    united,
+)
 from owm_envs.episode import Episode
-from owm_envs.files import write_atomically
+from owm_envs.files import remove, write_atomically
 from owm_envs.station.ports import PORT_NAMES
+from owm_envs.video import CODEC, join_videos, pixel_format
 
 FILES_PER_CHUNK = 1000
-FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+DATA_PATH = f"data/{_FILE}.parquet"
+VIDEO_PATH = f"videos/{{video_key}}/{_FILE}.mp4"
+EPISODES_PATH = f"meta/episodes/{_FILE}.parquet"
+DATA_MB, VIDEO_MB = 100, 200
+"""Most that the episodes of a file hold [MB], unless a single one has more."""
 TASKS = [f"Dock at {name.replace('_', ' ')}." for name in PORT_NAMES]
 """A task's index is its port's."""
 
 
-class SplitWriter:
-    """Append batches of whole episodes to a split; each batch is on disk completely or not at all.
+class Written(NamedTuple):
+    """What a split came to."""
 
-    Opening a folder that holds batches already goes on after them.
-
-    Args:
-        folder: of the split; made if absent.
-        fps: decisions a second.
-        parts: what episodes observe beside the state part, each of a `shape` and `dtype`, by their names.
-    """
-
-    def __init__(self, folder: Path, fps: float, parts: Mapping[str, Any] | None = None):
-        self.folder = Path(folder)
-        self.fps = int(fps) if float(fps).is_integer() else float(fps)
-        self._features = features_of(parts or {})
-        self.batches = 0
-        self.episodes = 0
-        self.frames = 0
-        self._statistics: list[Statistics] = []
-        while self._path("meta/episodes", self.batches).is_file():
-            self._resume(pq.read_table(self._path("meta/episodes", self.batches)))
+    episodes: int
+    frames: int
+    statistics: Statistics
+    """Of the whole split."""
 
     @property
     def transitions(self) -> int:
-        """Transitions written: every episode's last frame starts none."""
+        """Every episode's last frame starts none."""
         return self.frames - self.episodes
 
+
+def write_split(
+    folder: Path,
+    pieces: Pieces,
+    numbers: Iterable[int],
+    fps: float,
+    parts: Mapping[str, Any],
+    told: Callable[[int], None] = lambda done: None,
+) -> Written:
+    """Write the data, the videos and the table of episodes of a split; `write_meta` makes a dataset of it.
+
+    Args:
+        folder: of the split; made if absent.
+        numbers: of the episodes that belong to it, ascending.
+        fps: decisions a second.
+        parts: what episodes observe beside the state part, each of a `shape` and `dtype`, by their names.
+        told: how many episodes are done.
+    """
+    features = features_of(parts)
+    split = _Split(fps, {part_of(key): key for key, feature in features.items() if feature.is_video})
+    for file, group in enumerate(_files(pieces, numbers)):
+        place = dict(zip(("chunk_index", "file_index"), divmod(file, FILES_PER_CHUNK)))
+        split.begin(place)
+
+        def tables(group: Sequence[int] = group) -> Iterator[pa.Table]:
+            for number in group:
+                yield split.table(pieces.get(number))
+                told(split.episodes)
+
+        write_parquet(tables(), folder / DATA_PATH.format(**place))
+        for part, key in split.videos.items():
+            films = [pieces.film(number, part) for number in group]
+            path = folder / VIDEO_PATH.format(video_key=key, **place)
+            write_atomically(path, lambda out, films=films: join_videos(films, out, fps))
+        write_parquet([pa.Table.from_pylist(split.rows)], folder / EPISODES_PATH.format(**place))
+    statistics = split.statistics
+    statistics |= {name: statistics[name] | quantiles for name, quantiles in _exact_quantiles(folder, statistics)}
+    statistics |= {key: pixel_statistics(counts, split.frames) for key, counts in split.histograms.items()}
+    return Written(split.episodes, split.frames, statistics)
+
+
+class _Split:
+    """How far a split is, and the rows of the file that is being written."""
+
+    def __init__(self, fps: float, videos: dict[str, str]):
+        self.fps, self.videos = fps, videos
+        self.episodes = self.frames = self.shown = 0
+        self.statistics: Statistics = {}
+        self.histograms: dict[str, np.ndarray] = {}
+
+    def begin(self, place: Mapping[str, int]) -> None:
+        """Go on with another file."""
+        self.place, self.rows, self.shown = place, [], 0
+
+    def table(self, piece: Piece) -> pa.Table:
+        """Append an episode; give its rows of data."""
+        length = len(piece.columns["index"])
+        columns = piece.columns | {
+            "episode_index": piece.columns["episode_index"] + self.episodes,
+            "index": piece.columns["index"] + self.frames,
+        }
+        statistics = episode_statistics(columns)
+        self.statistics = united(self.statistics, statistics)
+        for part, key in self.videos.items():
+            counts = piece.histograms[part]
+            self.histograms[key] = self.histograms.get(key, 0) + counts
+            statistics[key] = pixel_statistics(counts, length)
+        self.rows.append(self._row(piece, length, statistics))
+        self.episodes, self.frames, self.shown = self.episodes + 1, self.frames + length, self.shown + length
+        return pa.table({name: arrow(values) for name, values in columns.items()})
+
+    def _row(self, piece: Piece, length: int, statistics: Statistics) -> dict[str, Any]:
+        """What the table of episodes says of one."""
+        row: dict[str, Any] = {"episode_index": self.episodes, "tasks": [TASKS[piece.port]], "length": length}
+        row |= {f"data/{key}": value for key, value in self.place.items()}
+        row |= {"dataset_from_index": self.frames, "dataset_to_index": self.frames + length}
+        row |= {f"meta/episodes/{key}": value for key, value in self.place.items()}
+        seconds = {"from_timestamp": self.shown / self.fps, "to_timestamp": (self.shown + length) / self.fps}
+        for video in self.videos.values():
+            row |= {f"videos/{video}/{key}": value for key, value in {**self.place, **seconds}.items()}
+        for name, part in statistics.items():
+            row |= {f"stats/{name}/{key}": value.tolist() for key, value in part.items()}
+        return row
+
+
+def _files(pieces: Pieces, numbers: Iterable[int]) -> Iterator[list[int]]:
+    """Numbers of the episodes of each file."""
+    group: list[int] = []
+    data = video = 0
+    for number in numbers:
+        own_data, own_video = pieces.sizes(number)
+        if group and (data + own_data > DATA_MB * 1e6 or video + own_video > VIDEO_MB * 1e6):
+            yield group
+            group, data, video = [], 0, 0
+        group.append(number)
+        data, video = data + own_data, video + own_video
+    if group:
+        yield group
+
+
+def _exact_quantiles(folder: Path, statistics: Statistics) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
+    """The quantiles of a split's columns, found among its rows."""
+    files = [pq.ParquetFile(file) for file in sorted((folder / "data").glob("chunk-*/file-*.parquet"))]
+
+    def rows(name: str) -> Iterator[np.ndarray]:
+        for file in files:
+            for group in range(file.num_row_groups):
+                yield counted_rows(name, from_arrow(file.read_row_group(group, columns=[name])[name]))
+
+    for name, part in statistics.items():
+        if part["mean"].size <= WIDEST:
+            yield name, exact_quantiles(partial(rows, name))
+
+
+def write_meta(
+    folder: Path,
+    written: Written,
+    statistics: Statistics,
+    fps: float,
+    parts: Mapping[str, Any],
+    about: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write what makes the folder of a split a dataset.
+
+    Args:
+        folder, fps, parts: as `write_split` takes them.
+        written: what it gave.
+        statistics: to normalise by.
+        about: what else info.json is to tell.
+    """
+    meta = folder / "meta"
+    write_parquet([_task_table()], meta / "tasks.parquet")
+    write_json(
+        {name: {key: value.tolist() for key, value in part.items()} for name, part in statistics.items()},
+        meta / "stats.json",
+    )
+    features = features_of(parts)
+    whole = int(fps) if float(fps).is_integer() else float(fps)
+    write_json(
+        {
+            "codebase_version": CODEBASE_VERSION,
+            "robot_type": "chaser",
+            "total_episodes": written.episodes,
+            "total_frames": written.frames,
+            "total_tasks": len(TASKS),
+            "chunks_size": FILES_PER_CHUNK,
+            "data_files_size_in_mb": DATA_MB,
+            "video_files_size_in_mb": VIDEO_MB,
+            "fps": whole,
+            # LeRobot calls whatever one folder holds "train".
+            "splits": {"train": f"0:{written.episodes}"},
+            "data_path": DATA_PATH,
+            "video_path": VIDEO_PATH if any(feature.is_video for feature in features.values()) else None,
+            "features": {name: _described(feature, whole) for name, feature in features.items()},
+            **about,
+        },
+        meta / "info.json",
+    )
+
+
+def _described(feature: Feature, fps: float) -> dict[str, Any]:
+    described: dict[str, Any] = {"dtype": feature.dtype, "shape": list(feature.shape), "names": feature.names}
+    if feature.is_video:
+        height, width, channels = feature.shape
+        described["info"] = {
+            "video.height": height,
+            "video.width": width,
+            "video.codec": CODEC,
+            "video.pix_fmt": pixel_format(height, width),
+            "video.is_depth_map": False,
+            "video.fps": fps,
+            "video.channels": channels,
+            "has_audio": False,
+        }
+    return described
+
+
+class Recorder:
+    """Takes flights that are at hand, one after another, for a dataset of them."""
+
+    def __init__(self, pieces: Pieces, fps: float):
+        self._pieces, self._fps, self.episodes = pieces, fps, 0
+
     def write(self, episodes: Iterable[Episode]) -> None:
-        """Append a batch of whole episodes, one row group each: only one of them is held at a time."""
-        rows: list[dict[str, Any]] = []
-        statistics: list[Statistics] = []
+        """Append whole episodes."""
+        for episode in episodes:
+            self._pieces.put(self.episodes, episode, self._fps)
+            self.episodes += 1
 
-        def tables() -> Iterator[pa.Table]:
-            for episode in episodes:
-                columns, row = self._laid_out(episode, rows)
-                rows.append(row)
-                statistics.append(episode_statistics(columns))
-                rows[-1] |= {
-                    f"stats/{name}/{key}": value.tolist()
-                    for name, part in statistics[-1].items()
-                    for key, value in part.items()
-                }
-                yield pa.table({name: _arrow(values) for name, values in columns.items()})
 
-        _write_parquet(tables(), self._path("data", self.batches))
-        # The episodes file is the batch's seal: without it the data file is written again.
-        _write_parquet([pa.Table.from_pylist(rows)], self._path("meta/episodes", self.batches))
-        self.batches += 1
-        self.episodes += len(rows)
-        self.frames = rows[-1]["dataset_to_index"]
-        self._statistics += statistics
+@contextmanager
+def recording(folder: Path, config: DockingConfig, policy: str | None = None) -> Iterator[Recorder]:
+    """Write flights that are at hand as a dataset of one split, in place of one that is there.
 
-    def _laid_out(self, episode: Episode, before: list[dict[str, Any]]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """An episode's columns, and its row in the episodes file; `before` are the rows of its batch so far."""
-        chunk, file = divmod(self.batches, FILES_PER_CHUNK)
-        number = self.episodes + len(before)
-        index = before[-1]["dataset_to_index"] if before else self.frames
-        length = len(episode) + 1
-        row = {
-            "episode_index": number,
-            "tasks": [TASKS[episode.port]],
-            "length": length,
-            "data/chunk_index": chunk,
-            "data/file_index": file,
-            "dataset_from_index": index,
-            "dataset_to_index": index + length,
-            "meta/episodes/chunk_index": chunk,
-            "meta/episodes/file_index": file,
-        }
-        return columns_from_episode(episode, episode_index=number, first_index=index, fps=self.fps), row
+    Once left, with at least one episode in it, the folder is a dataset.
 
-    def statistics(self) -> Statistics:
-        """Of everything written so far."""
-        return aggregate(self._statistics)
-
-    def finish(self, statistics: Statistics) -> None:
-        """Write the metadata that makes the folder a dataset, with the statistics to normalise by."""
-        meta = self.folder / "meta"
-        _write_parquet([_task_table()], meta / "tasks.parquet")
-        write_json(
-            {name: {key: value.tolist() for key, value in part.items()} for name, part in statistics.items()},
-            meta / "stats.json",
-        )
-        features = {
-            name: {"dtype": feature.dtype, "shape": list(feature.shape), "names": feature.names}
-            for name, feature in self._features.items()
-        }
-        write_json(
-            {
-                "codebase_version": CODEBASE_VERSION,
-                "robot_type": "chaser",
-                "total_episodes": self.episodes,
-                "total_frames": self.frames,
-                "total_tasks": len(TASKS),
-                "chunks_size": FILES_PER_CHUNK,
-                "data_files_size_in_mb": 100,
-                "video_files_size_in_mb": 200,
-                "fps": self.fps,
-                # LeRobot calls whatever one folder holds "train".
-                "splits": {"train": f"0:{self.episodes}"},
-                "data_path": f"data/{FILE_PATTERN}",
-                "video_path": None,
-                "features": features,
-            },
-            meta / "info.json",
-        )
-
-    def _path(self, kind: str, batch: int) -> Path:
-        chunk, file = divmod(batch, FILES_PER_CHUNK)
-        return self.folder / kind / FILE_PATTERN.format(chunk_index=chunk, file_index=file)
-
-    def _resume(self, rows: pa.Table) -> None:
-        for row in rows.to_pylist():
-            part: Statistics = {}
-            for column, value in row.items():
-                if column.startswith("stats/"):
-                    _, name, key = column.split("/")
-                    part.setdefault(name, {})[key] = np.asarray(value)
-            self._statistics.append(part)
-        self.batches += 1
-        self.episodes += rows.num_rows
-        self.frames = rows["dataset_to_index"][-1].as_py()
+    Args:
+        folder: to make; whatever lies there goes.
+        config: of the environment that they were flown in.
+        policy: who flew, if it is none of `POLICY_NAMES`; kept in the folder's info.json.
+    """
+    remove(folder)
+    fps, pieces = 1 / config.decision_dt, Pieces(folder / "pieces")
+    recorder = Recorder(pieces, fps)
+    yield recorder
+    write_atomically(folder / "config.toml", lambda file: file.write(config.to_toml()), text=True)
+    split = write_split(folder, pieces, range(recorder.episodes), fps, {})
+    write_meta(folder, split, split.statistics, fps, {}, {} if policy is None else {"policy": policy})
+    remove(pieces.folder)
 
 
 def write_json(value: dict, path: Path) -> None:
@@ -151,7 +269,7 @@ def write_json(value: dict, path: Path) -> None:
     write_atomically(path, lambda file: file.write(json.dumps(value, indent=2) + "\n"), text=True)
 
 
-def _write_parquet(tables: Iterable[pa.Table], path: Path) -> None:
+def write_parquet(tables: Iterable[pa.Table], path: Path) -> None:
     """Write tables of one schema as the row groups of a file; at least one."""
 
     def write(file: BinaryIO) -> None:
@@ -162,19 +280,11 @@ def _write_parquet(tables: Iterable[pa.Table], path: Path) -> None:
                     # Measured numbers do not repeat: dictionaries would only cost time.
                     repeating = [n for n, f in FEATURES.items() if f.shape == (1,) and n in table.column_names]
                     options = {"compression": "zstd", "compression_level": 1, "use_dictionary": repeating}
+                    options["write_page_checksum"] = True
                     writer = stack.enter_context(pq.ParquetWriter(file, table.schema, **options))
                 writer.write_table(table)
 
     write_atomically(path, write)
-
-
-def _arrow(values: np.ndarray) -> pa.Array:
-    if values.ndim == 1 or values.shape[1:] == (1,):
-        return pa.array(values.reshape(-1))
-    array = pa.array(np.ascontiguousarray(values).ravel())
-    for size in reversed(values.shape[1:]):
-        array = pa.FixedSizeListArray.from_arrays(array, size)
-    return array
 
 
 def _task_table() -> pa.Table:

@@ -19,7 +19,7 @@ from owm.console import announce, bar
 from owm.data.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
 from owm.data.windows import Episodes
 from owm.model.world_model import LearnedWorldModel
-from owm.report.plots import calibration_figure, prediction_figure, save_figure
+from owm.report.plots import calibration_figure, prediction_figure
 from owm.report.tables import calibration_table, error_table
 from owm.report.terminal import print_table
 from owm.scores.calibration import Calibration, calibration
@@ -28,6 +28,7 @@ from owm.training.validation import PLANNER_STYLE
 from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.datasets.fetch import local_dataset
+from owm_envs.figures import save_figure
 from owm_envs.files import write_atomically
 
 BASELINES = ("constant-velocity", "least-squares", "ekf", "exact")

@@ -24,8 +24,9 @@ from owm.scores.prediction import QUANTITIES, PredictionError
 from owm.stages import Stages, peak_memory, source_digest
 from owm.training.config import PRESETS, TrainConfig
 from owm_envs.config import DockingConfig, load_config
+from owm_envs.datasets.writer import recording
 from owm_envs.files import slug, write_atomically
-from owm_envs.station import TRAIN_PORTS
+from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ POLICIES: dict[str, str] = {
 }
 """The rows of the docking table, and where in the demo's folder their model lies."""
 ON_POLICY = "held-out episodes: random, orbit, dock"
+RECORDED = "flights/world_model"
+"""Dataset of the world model's flights."""
 PLANNER_STYLE = "held-out episodes: random wrenches held for 2 s"
 
 
@@ -90,7 +93,7 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
     code = f"{__version__}, jax {jax.__version__}, {source_digest()}"
     stages = Stages(out, {"scale": name, "seed": seed, **settings}, code, fresh=fresh)
     out = stages.folder
-    stages.claim("corpus.partial", "train", "flights", "figures", "report.md", "report.html")
+    stages.claim("corpus.partial", "train", "flights", "figures", "report.md", "report.html", "replay.html")
     config = corpus_config()
 
     announce("[bold]1/5 recording the corpus[/]")
@@ -122,6 +125,7 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
         flights=list(flights.values()),
         starts=check_identical_starts(list(flights.values())),
         checks=checks,
+        replay=_replay(out, flights["world model"]),
         seconds=dict(stages.seconds),
         resumed=list(stages.resumed),
         peak_memory=max(stages.peak, peak_memory() or 0.0),
@@ -132,12 +136,21 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
     print_table(docking_table(results.flights, ["world model"]), f"Docking, {len(results.flights[0])} flights each")
     for text, kept in checks.items():
         console.print(f"{'[green]kept[/]' if kept else '[red]broken[/]'}  {text}")
-    for path in reports:
+    for path in [*reports, results.replay]:
         print(path)
     promises = list(checks.values()) if size.must_dock else list(checks.values())[:1]
     if not all(promises):
         console.print("[red bold]the demo did not keep its promises: see the report[/]")
     return all(promises)
+
+
+def _replay(out: Path, flights: Flights) -> Path:
+    """One flight of the world model as a page: the first that came within 1 m, if any did."""
+    from owm_envs.replay import load, save_page
+
+    number = int(np.argmax(succeeded(flights, 1.0)))
+    title = f"The world model to {PORT_NAMES[flights.port[number]]}".replace("_", " ")
+    return save_page(out / "replay.html", load(out / RECORDED, number=number, title=title))
 
 
 def corpus_config() -> DockingConfig:
@@ -266,7 +279,6 @@ def _load_predictions(path: Path) -> dict[str, list[PredictionError]]:
 
 def _fly(stages: Stages, out: Path, size: Scale, seed: int) -> dict[str, Flights]:
     from owm_envs.field import load_field
-    from owm_envs.station import PORT_NAMES
 
     config = evaluation_config()
     seeds, ports = trials(PORT_NAMES, size.trials, seed)
@@ -280,10 +292,18 @@ def _fly(stages: Stages, out: Path, size: Scale, seed: int) -> dict[str, Flights
         file = f"flights/{slug(name)}.npz"
         spec = str(out / model) if model else name
 
-        def fly(name=name, spec=spec, file=file):
-            flown = fly_named(spec, config, seeds, ports, seed=seed, slots=size.slots, planner=size.planner, name=name)
+        def fly(name=name, spec=spec, file=file, keep=None):
+            options = {"seed": seed, "slots": size.slots, "planner": size.planner, "name": name, "keep": keep}
+            flown = fly_named(spec, config, seeds, ports, **options)
             flown.save(out / file)
 
-        stages.run(f"flying {name}", [file], fly)
+        def record(fly=fly, name=name):
+            with recording(out / RECORDED, config, name) as writer:
+                fly(keep=writer.write)
+
+        if name == "world model":
+            stages.run(f"flying {name}", [file, RECORDED], record)
+        else:
+            stages.run(f"flying {name}", [file], fly)
         flights[name] = Flights.load(out / file)
     return flights

@@ -15,7 +15,6 @@ from owm.report.paper import DIFFERENCES, paper_table
 from owm.report.plots import (
     loss_figure,
     prediction_figure,
-    save_figure,
     tolerance_figure,
     trajectory_figure,
 )
@@ -31,6 +30,7 @@ from owm.scores.flights import Flights, succeeded
 from owm.scores.prediction import PredictionError
 from owm.scores.statistics import rate
 from owm.training.config import PRESETS
+from owm_envs.figures import save_figure
 from owm_envs.files import slug
 
 
@@ -53,6 +53,8 @@ class Results:
     resumed: list[str]
     peak_memory: float
     """Bytes; 0 where the system does not tell."""
+    replay: Path | None = None
+    """Page of one flight of the world model."""
 
 
 _DIFFERENCES = (
@@ -106,6 +108,8 @@ def _summary(results: Results) -> list[Block]:
             "the map of the hull, not the network, that docks."
         )
     kept = [f"{'Kept' if ok else '**Broken**'}: {promise}." for promise, ok in results.checks.items()]
+    if results.replay is not None:
+        text += f" [See one of them]({results.replay.name})."
     if not results.size.must_dock:
         kept[-1] += " (Not a promise at this scale: the model is trained for seconds.)"
     return [

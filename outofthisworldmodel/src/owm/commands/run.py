@@ -18,7 +18,7 @@ from owm.data.windows import Episodes
 from owm.interface import WorldModel
 from owm.planning.config import PlannerConfig
 from owm.report.page import Table
-from owm.report.plots import save_figure, trajectory_figure
+from owm.report.plots import trajectory_figure
 from owm.report.prediction import prediction_blocks
 from owm.report.tables import docking_table, port_table
 from owm.report.terminal import print_table
@@ -34,6 +34,9 @@ from owm_envs.adapters.gymnasium import DockingGymEnv
 from owm_envs.claims import Claim, digest
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.fetch import local_dataset
+from owm_envs.datasets.writer import recording
+from owm_envs.episode import Episode
+from owm_envs.figures import save_figure
 from owm_envs.files import output_folder, slug
 from owm_envs.station import PORT_NAMES
 
@@ -115,7 +118,7 @@ def fly(
     video: Path | None = None,
     camera: str = "chaser_fpv",
 ) -> Flights:
-    """Fly a policy to one port, print a table, and write CSV, JSON and, if asked, a picture.
+    """Fly a policy to one port, print a table, and write CSV, JSON, a recording and, if asked, a picture.
 
     The same again prints the flights that are there.
 
@@ -152,8 +155,13 @@ def fly(
         announce(f"{claim.folder} holds these flights already")
         flown = Flights.load(kept)
     else:
-        flown = fly_named(policy, config, seeds, ports, seed=seed)
-        claim.note()
+        with recording(claim.folder / "episodes", config, slug(policy)) as writer:
+
+            def keep(flights: list[Episode]) -> None:
+                claim.note()  # before anything lies in the folder
+                writer.write(flights)
+
+            flown = fly_named(policy, config, seeds, ports, seed=seed, keep=keep)
         flown.save(kept)
     files = write_results({flown.policy: flown}, claim.folder)
     if plot:
@@ -166,6 +174,8 @@ def fly(
     print_table(flight_table(flown), f"{flown.policy} to {port}")
     for file in files:
         print(file)
+    if (claim.folder / "episodes").is_dir():
+        print(f"{claim.folder / 'episodes'}: recorded; owm-envs replay {claim.folder} shows a flight in the browser")
     return flown
 
 
@@ -195,6 +205,7 @@ def fly_named(
     slots: int | None = None,
     planner: PlannerConfig | None = None,
     name: str | None = None,
+    keep: Callable[[list[Episode]], None] | None = None,
 ) -> Flights:
     """Load a policy and fly it behind a progress bar.
 
@@ -206,13 +217,14 @@ def fly_named(
         slots: most flights side by side.
         planner: of planned policies.
         name: what to call it.
+        keep: as `fly_episodes` takes it.
     """
     slots = min(slots or len(seeds), len(seeds))
     announce("compiling the simulator and the policy, once: later runs find them in the cache ...")
     flown_by = load_policy(policy, config, slots, seed, planner)
     name = name or flown_by.name
     with flying(name, len(seeds), slots) as progress:
-        return fly_episodes(flown_by, config, seeds, ports, progress, slots=slots, name=name)
+        return fly_episodes(flown_by, config, seeds, ports, progress, slots=slots, name=name, keep=keep)
 
 
 def evaluate_docking(

@@ -1,25 +1,22 @@
 """Pictures of flights, scores and predictions, drawn without a display."""
 
-import os
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PatchCollection
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Polygon
 
 from owm.scores.calibration import Calibration
 from owm.scores.flights import TOLERANCES, Flights, speed_by_range, succeeded
 from owm.scores.prediction import PredictionError
 from owm.scores.statistics import rate
-from owm_envs.files import write_atomically
+from owm_envs.figures import AXES, FAINT, INK, PALETTE, silhouette, tidy
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, PORTS, TRAIN_PORTS, goal_poses, hull_boxes
 from owm_envs.view import View
 
-PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444", "#8A6FBF")
-"""Colours that the colour-blind can tell apart."""
 ENDS = {
     "docked": "#009E73",
     "within 1 m": "#56B4E9",
@@ -27,10 +24,8 @@ ENDS = {
     "collided": "#D55E00",
 }
 """What became of a flight, worst last, and its colour."""
-_INK, _FAINT = "#2b2f36", "#9aa3b0"
 _VIEWS = (("seen from port side", 1, 2, 1), ("seen from ahead", 0, 2, -1), ("seen from below", 1, 0, -1))
 """Name, horizontal and vertical axis, and whether the third axis points at (1) or away from the viewer."""
-_AXES = ("x, port side [m]", "y, aft [m]", "z, zenith [m]")
 
 
 def end_of(flights: Flights) -> np.ndarray:
@@ -48,11 +43,6 @@ def hull_distance(positions: Float[np.ndarray, "... 3"], radius: float = 0.0) ->
         gap = np.maximum(np.maximum(low - positions, positions - high), 0)
         least = np.fmin(least, np.sqrt(np.sum(gap * gap, axis=-1)))
     return np.where(np.isnan(positions[..., 0]), np.nan, least - radius)
-
-
-def save_figure(figure: Figure, path: str | os.PathLike, dpi: int = 130) -> None:
-    """Write a PNG atomically."""
-    write_atomically(path, lambda file: figure.savefig(file, format="png", dpi=dpi))
 
 
 def trajectory_figure(flights: Flights, title: str | None = None, radius: float = 2.25) -> Figure:
@@ -73,19 +63,20 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
     spans = {"": np.concatenate([View.of(flights.trajectory).position.reshape(-1, 3), hull])}
     spans |= {} if single else {", close up": hull}
     figure = Figure(figsize=(14, 3.4 + 5 * len(spans)), layout="constrained", facecolor="white")
-    figure.suptitle(title, fontsize=14, fontweight="bold", color=_INK)
+    figure.suptitle(title, fontsize=14, fontweight="bold", color=INK)
     grid = figure.add_gridspec(len(spans) + 1, 3, height_ratios=(*[1.45] * len(spans), 1))
     views = [[figure.add_subplot(grid[row, column]) for column in range(3)] for row in range(len(spans))]
     for row, (closeness, span) in zip(views, spans.items()):
         low, high = _limits(span)
         for axes, (name, i, j, sign) in zip(row, _VIEWS):
-            _station(axes, i, j, sign, single)
+            # Over many flights, or they would cover it.
+            silhouette(axes, hull_boxes(), i, j, sign, alpha=1 if single else 0.75, zorder=1 if single else 3.15)
             for port in ports:
                 _corridor(axes, port, i, j, label=len(ports) <= 2)
-            axes.set(xlim=(low[i], high[i]), ylim=(low[j], high[j]), xlabel=_AXES[i], ylabel=_AXES[j])
+            axes.set(xlim=(low[i], high[i]), ylim=(low[j], high[j]), xlabel=AXES[i], ylabel=AXES[j])
             axes.set_aspect("equal")
-            axes.set_title(name + closeness, loc="left", fontsize=10, color=_INK)
-            _tidy(axes)
+            axes.set_title(name + closeness, loc="left", fontsize=10, color=INK)
+            tidy(axes)
     histories = [figure.add_subplot(grid[-1, column]) for column in range(3)]
     labels = {}
     for layer, (end, color) in enumerate(ENDS.items()):
@@ -110,16 +101,6 @@ def _limits(points: Float[np.ndarray, "N 3"]):
     # One scale for the three views: equal spans about each axis's middle.
     half, middle = 0.55 * (high - low).max(), 0.5 * (low + high)
     return middle - half, middle + half
-
-
-def _station(axes: Axes, i: int, j: int, sign: int, single: bool) -> None:
-    boxes = hull_boxes()
-    # Far boxes first, so that what is near hides them.
-    boxes = boxes[np.argsort(sign * boxes.mean(axis=1)[:, 3 - i - j])]
-    patches = [Rectangle((b[0, i], b[0, j]), b[1, i] - b[0, i], b[1, j] - b[0, j]) for b in boxes]
-    # Over many flights, or they would cover it.
-    axes.add_collection(PatchCollection(patches, facecolor="#d5dae2", edgecolor="#8c95a3", linewidth=0.3,
-                                        alpha=1 if single else 0.75, zorder=1 if single else 3.15))  # fmt: skip
 
 
 def _corridor(axes: Axes, port: int, i: int, j: int, label: bool) -> None:
@@ -163,7 +144,7 @@ def _tracks(
         flown = tracks[0][np.isfinite(tracks[0, :, 0])]
         some = flown[:: max(1, len(flown) // 14)]
         nose = _nose(View.of(some).attitude)
-        axes.quiver(some[:, i], some[:, j], nose[:, i], nose[:, j], color=_INK, width=0.003, scale=22, headwidth=4,
+        axes.quiver(some[:, i], some[:, j], nose[:, i], nose[:, j], color=INK, width=0.003, scale=22, headwidth=4,
                     zorder=4, label="nose")  # fmt: skip
 
 
@@ -186,27 +167,17 @@ def _histories(panels: Sequence[Axes], flights: Flights, room, stroke: dict) -> 
 def _finish_histories(panels: Sequence[Axes], flights: Flights, labels: Mapping[str, str]) -> None:
     names = ("range to goal [m]", "speed [m/s]", "hull clearance of the bounding sphere [m]")
     for axes, name in zip(panels, names):
-        axes.set_title(name, loc="left", fontsize=10, color=_INK)
+        axes.set_title(name, loc="left", fontsize=10, color=INK)
         axes.set_xlim(0, max(float(flights.time.max()), flights.decision_dt))
         axes.set_xlabel("time [s]")
-        _tidy(axes)
+        tidy(axes)
     panels[0].set_yscale("log")
-    panels[0].axhline(1.0, color=_FAINT, lw=0.8, ls="--")
-    panels[0].axhline(0.1, color=_FAINT, lw=0.8, ls=":")
+    panels[0].axhline(1.0, color=FAINT, lw=0.8, ls="--")
+    panels[0].axhline(0.1, color=FAINT, lw=0.8, ls=":")
     panels[2].set_yscale("symlog", linthresh=1.0)
     panels[2].axhline(0.0, color="#a01818", lw=0.8)
     handles = [panels[0].plot([], [], color=color, lw=2)[0] for color in labels.values()]
     panels[0].legend(handles, list(labels), fontsize=8, frameon=False, loc="upper right")
-
-
-def _tidy(axes: Axes) -> None:
-    axes.grid(color="#e7eaef", lw=0.6, zorder=0)
-    axes.set_axisbelow(True)
-    axes.tick_params(which="both", labelsize=8, colors=_INK)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(_FAINT)
 
 
 def _nested(n: int) -> float:
@@ -238,11 +209,11 @@ def tolerance_figure(flights: Sequence[Flights]) -> Figure:
             shares = 100 * np.arange(len(some) + 1) / max(len(each), 1)
             axes.step([low, *some, high], [*shares, shares[-1]], where="post", color=PALETTE[n % len(PALETTE)],
                       lw=_nested(n), label=each.policy)  # fmt: skip
-        axes.axvline(bound, color=_INK, lw=0.9, ls="--", zorder=1)
+        axes.axvline(bound, color=INK, lw=0.9, ls="--", zorder=1)
         axes.set(xscale="log", xlim=(low, high), ylim=(-3, 103), xlabel=f"{label} at closest approach [{unit}]")
         axes.set_xticks(*_ticks((low, high), [k * 10.0**e for e in range(-6, 4) for k in digits]))
         axes.minorticks_off()
-        _tidy(axes)
+        tidy(axes)
     figure.axes[0].set_ylabel("flights without collision [%]")
     _legend(figure)
     return figure
@@ -273,16 +244,16 @@ def port_figure(flights: Sequence[Flights], quoted: Mapping[str, Mapping[str, fl
         place = np.arange(len(order)) + (n - (len(flights) - 1) / 2) * width
         color = PALETTE[n % len(PALETTE)]
         axes.bar(place, shares, width * 0.9, color=color, label=each.policy, zorder=2)
-        axes.errorbar(place, shares, errors, fmt="none", ecolor=_INK, elinewidth=0.7, capsize=1.5, zorder=3)
+        axes.errorbar(place, shares, errors, fmt="none", ecolor=INK, elinewidth=0.7, capsize=1.5, zorder=3)
     for (name, values), mark in zip((quoted or {}).items(), "D^s"):
         places = [i for i, port in enumerate(order) if port in values]
         axes.plot(places, [values[order[i]] for i in places], mark, ms=8, mfc="white", mec="#a01818", mew=1.6,
                   label=name, zorder=4)  # fmt: skip
-    axes.axvline(len(TRAIN_PORTS) - 0.5, color=_FAINT, lw=1, ls="--")
-    axes.text(len(TRAIN_PORTS) - 0.45, 108, "held out", fontsize=9, color=_INK)
+    axes.axvline(len(TRAIN_PORTS) - 0.5, color=FAINT, lw=1, ls="--")
+    axes.text(len(TRAIN_PORTS) - 0.45, 108, "held out", fontsize=9, color=INK)
     axes.set_xticks(range(len(order)), [port.replace("_", " ") for port in order])
     axes.set(ylim=(0, 115), ylabel="within 1 m, no collision [%]")
-    _tidy(axes)
+    tidy(axes)
     axes.grid(visible=False, axis="x")
     _legend(figure)
     return figure
@@ -300,12 +271,12 @@ def speed_figure(flights: Sequence[Flights]) -> Figure:
         axes.plot(middle, [row["p50"] for row in rows], color=color, lw=_nested(n), label=each.policy)
         low, high = ([row[key] for row in rows] for key in ("p10", "p90"))
         axes.fill_between(middle, low, high, color=color, alpha=0.12, lw=0)
-    axes.axhspan(0.05, 0.10, color=_FAINT, alpha=0.25, lw=0, zorder=0)
-    axes.text(280, 0.07, "closing speed of the docking standard", fontsize=8, color=_INK, va="center")
+    axes.axhspan(0.05, 0.10, color=FAINT, alpha=0.25, lw=0, zorder=0)
+    axes.text(280, 0.07, "closing speed of the docking standard", fontsize=8, color=INK, va="center")
     axes.set(xscale="log", yscale="log", xlabel="range to the hold pose [m]", ylabel="speed [m/s]")
     axes.set_xlim(0.1, 300)
     axes.invert_xaxis()
-    _tidy(axes)
+    tidy(axes)
     _legend(figure)
     return figure
 
@@ -337,12 +308,12 @@ def loss_figure(
         if all(np.all(np.asarray(v) > 0) for _, v in curves.values()):
             axes.set_yscale("log")
         axes.set_xlabel("optimisation step")
-        axes.set_title(title, loc="left", fontsize=10, color=_INK, pad=16)
+        axes.set_title(title, loc="left", fontsize=10, color=INK, pad=16)
         axes.legend(fontsize=8, frameon=False)
-        _tidy(axes)
+        tidy(axes)
     for mark, step in (marks or {}).items():
-        panels[0].axvline(step, color=_INK, lw=0.9, ls="--", zorder=1)
-        panels[0].text(step, 1.01, mark, fontsize=8, color=_INK, transform=panels[0].get_xaxis_transform())
+        panels[0].axvline(step, color=INK, lw=0.9, ls="--", zorder=1)
+        panels[0].text(step, 1.01, mark, fontsize=8, color=INK, transform=panels[0].get_xaxis_transform())
     return figure
 
 
@@ -357,8 +328,8 @@ def prediction_figure(groups: Mapping[str, Sequence[PredictionError]]) -> Figure
             for each in group:
                 _curve(axes, names, each.name, np.asarray(each.horizons) * each.dt, each.mean(quantity))
             axes.set(yscale="log", ylabel=f"{quantity.split('_')[0]} error [{unit}]")
-            _tidy(axes)
-        row[0].set_title(title, loc="left", fontsize=10, color=_INK)
+            tidy(axes)
+        row[0].set_title(title, loc="left", fontsize=10, color=INK)
     for axes in panels[-1]:
         axes.set_xlabel("horizon [s]")
     _legend(figure)
@@ -384,12 +355,12 @@ def calibration_figure(groups: Mapping[str, Sequence[Calibration]]) -> Figure:
             ratio = each.spread[:, k] / np.maximum(each.error[:, k], 1e-12)
             _curve(row[-1], names, each.name, seconds, ratio, marked=True)
         for axes, nominal in zip(row, [*(100 * level for level in levels), 1.0]):
-            axes.axhline(nominal, color=_INK, lw=0.9, ls="--", zorder=4)
+            axes.axhline(nominal, color=INK, lw=0.9, ls="--", zorder=4)
             axes.set_xscale("log")
             axes.set_xticks(*_ticks(axes.get_xlim(), (0.25, 0.5, 1, 2, 4, 8, 16, 32)))
             axes.minorticks_off()
-            _tidy(axes)
-        row[0].set_title(title, loc="left", fontsize=10, fontweight="bold", color=_INK)
+            tidy(axes)
+        row[0].set_title(title, loc="left", fontsize=10, fontweight="bold", color=INK)
         for axes, level in zip(row, levels):
             axes.set(ylim=(-3, 103), ylabel=f"in the {100 * level:g} % interval [%]")
         row[-1].set_ylabel("spread / error")

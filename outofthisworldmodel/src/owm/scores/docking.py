@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from owm.scores.flights import Flights, join
+from owm.scores.tape import Tape
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
+from owm_envs.episode import Episode
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
 from owm_envs.view import VIEW_SIZE, View
@@ -84,6 +86,7 @@ def fly_episodes(
     record: bool = True,
     slots: int | None = None,
     name: str | None = None,
+    keep: Callable[[list[Episode]], None] | None = None,
 ) -> Flights:
     """Fly one episode per seed with a policy that sees observations and ports only.
 
@@ -98,6 +101,7 @@ def fly_episodes(
         record: keep the trajectories.
         slots: most flights at a time, all when None; the last batch is filled up, so that shapes stay.
         name: what to call the policy; its own `name` when None.
+        keep: given the flights of each batch, in order, as whole recordings of what was seen and done.
 
     Raises:
         ValueError: shapes disagree, nothing to fly, an unknown port, or actions of the wrong shape.
@@ -113,17 +117,23 @@ def fly_episodes(
     for first in range(0, len(seeds), slots):
         index = np.arange(first, first + slots) % len(seeds)
         told = None if progress is None else lambda *now, first=first: progress(first, *now)
-        batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name)
-        parts.append(batch.select(slice(0, len(seeds) - first)))
+        tape = None if keep is None else Tape(name)
+        batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name, tape)
+        real = slice(0, len(seeds) - first)
+        parts.append(batch.select(real))
+        if tape is not None:
+            keep(tape.episodes(batch.port[real]))
     env.close()
     return join(parts)
 
 
-def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
+def _fly_batch(policy, env, seeds, ports, progress, record, name, tape) -> Flights:
     config, layout = env.config, env.layout
     decisions = config.horizon_decisions
     observation, info = env.reset(seed=seeds.tolist(), options={"dock_port": [int(port) for port in ports]})
     path, clock, began = [info["true_state"]], [np.zeros(len(seeds))], info["epoch"]
+    if tape is not None:
+        tape.frame(layout.measured_view(observation), info)
     digest = np.array([start_digest(*start) for start in zip(info["true_state"], info["epoch"], ports)])
     running = np.ones(len(seeds), bool)
     flown = np.zeros(len(seeds))
@@ -147,7 +157,10 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name) -> Flights:
         held = np.where(running & np.isfinite(action).all(1), config.decision_dt, 0)
         force += np.linalg.norm(np.nan_to_num(wrench[:, :3]), axis=1) * held
         torque += np.linalg.norm(np.nan_to_num(wrench[:, 3:]), axis=1) * held
-        observation, _, terminated, truncated, info = env.step(action)
+        observation, reward, terminated, truncated, info = env.step(action)
+        if tape is not None:
+            tape.decision(wrench, reward, running)
+            tape.frame(layout.measured_view(observation), info)
         flown += np.where(running, config.decision_dt, 0)
         path.append(np.where(running[:, None], info["true_state"], np.nan))
         clock.append(np.where(running, (info["epoch"] - began) @ np.array([86_400.0, 1.0]), np.nan))

@@ -18,7 +18,7 @@ from owm import __version__
 from owm.catalogue.policies import GIVEN, GIVEN_COLUMNS, Given, checkpoint_folder, kind_of
 from owm.report.page import Block, Picture, Table, bullets, code, write_report
 from owm.report.paper import DIFFERENCES, NOT_ALIKE, PLANNER_BY_PORT, PPO_BY_PORT, paper_table
-from owm.report.plots import port_figure, save_figure, speed_figure, tolerance_figure, trajectory_figure
+from owm.report.plots import port_figure, speed_figure, tolerance_figure, trajectory_figure
 from owm.report.tables import (
     condition_table,
     definitions_table,
@@ -33,6 +33,7 @@ from owm.scores.flights import Flights, join, score, score_groups, speed_by_rang
 from owm.scores.statistics import Pairs, holm, pair
 from owm.study.conditions import CONDITIONS, Condition
 from owm.study.matrix import Matrix, Study, flights_asked, row_name, study_keys
+from owm_envs.figures import save_figure
 from owm_envs.files import slug, write_atomically
 
 Key = tuple[str, str | None, str]

@@ -199,7 +199,7 @@ def _write_curve(lines: list[dict[str, Any]], out: Path) -> None:
     """Write the learning curve as CSV and picture."""
     from matplotlib.figure import Figure
 
-    from owm.report.plots import save_figure
+    from owm_envs.figures import save_figure
 
     def write(file) -> None:
         rows = csv.DictWriter(file, _CURVE, extrasaction="ignore", restval="", lineterminator="\n")

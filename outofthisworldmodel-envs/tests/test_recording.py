@@ -1,0 +1,156 @@
+"""Recording with frames: what is in the video, and what a kill, a share or a second writer does to it."""
+
+import json
+import subprocess
+import sys
+
+import av
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from filelock import FileLock
+
+from owm_envs.config import load_config
+from owm_envs.datasets.generate import Shard, generate
+from owm_envs.datasets.merge import merge
+from owm_envs.datasets.recipe import Request, flights, splits
+from owm_envs.env import DockingEnv
+from owm_envs.files import FolderTaken
+from owm_envs.policies import make_policy
+from owm_envs.rollout import episodes, rollout
+from owm_envs.video import VideoWriter, join_videos
+
+CONFIG = load_config(
+    fidelity="iss",
+    horizon=1.0,
+    steps_per_action=5,
+    ports=["zvezda_aft", "unity_nadir"],
+    observation="state+pixels",
+    camera={"width": 16, "height": 16, "every": 2, "lamp": 20.0, "sky": False},
+)
+REQUEST = Request(transitions=60, val_transitions=8, seed=5, episodes_per_batch=8)
+VIDEO = "observation.images.fpv"
+
+
+def decoded(path):
+    with av.open(str(path)) as container:
+        return [(frame.pts * frame.time_base, frame.to_ndarray(format="rgb24")) for frame in container.decode(video=0)]
+
+
+def files(root):
+    return {str(file.relative_to(root)): file.read_bytes() for file in root.rglob("*") if file.is_file()}
+
+
+def assert_same_bytes(one, other):
+    one, other = files(one), files(other)
+    assert one.keys() == other.keys()
+    assert sorted(name for name in one if one[name] != other[name]) == []
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording") / "set"
+    generate(folder, CONFIG, REQUEST)
+    return folder
+
+
+def test_a_video_holds_the_frame_of_every_row(whole):
+    """As the pure environment shows them: a frame at every other decision, held between."""
+    env = DockingEnv(CONFIG)
+    planned = [next(flights(splits(REQUEST, CONFIG)[name])) for name in ("train", "val")]
+    for fold, (name, flight) in enumerate(zip(("train", "val"), planned)):
+        info = json.loads((whole / name / "meta/info.json").read_text())
+        video = decoded(whole / name / info["video_path"].format(video_key=VIDEO, chunk_index=0, file_index=0))
+        assert len(video) == info["total_frames"] and info["features"][VIDEO]["shape"] == [16, 16, 3]
+        assert [float(time) for time, _ in video] == [row / 4 for row in range(len(video))]
+        rows = pq.read_table(whole / name / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+        for row in rows:
+            start, end = (row[f"videos/{VIDEO}/{key}"] for key in ("from_timestamp", "to_timestamp"))
+            assert (start * 4, end * 4) == (row["dataset_from_index"], row["dataset_to_index"])
+        key = jax.random.fold_in(jax.random.fold_in(jax.random.key(np.uint32(5)), fold), 0)
+        chunks = rollout(env, make_policy(flight.policy, env), jnp.stack([key] * 8), np.full(8, flight.port), chunk=8)
+        seen = next(episodes(chunks)).observation["pixels"]
+        shown = np.stack([image for _, image in video[: len(seen)]]).astype(float)
+        assert 10 * np.log10(255**2 / ((shown - seen) ** 2).mean()) > 32
+        np.testing.assert_array_equal(seen[1::2], seen[:-1:2])
+
+
+def test_statistics_of_the_frames_are_those_before_encoding(whole):
+    told = json.loads((whole / "train/meta/stats.json").read_text())[VIDEO]
+    frames = np.stack([image for _, image in decoded(whole / f"train/videos/{VIDEO}/chunk-000/file-000.mp4")]) / 255
+    assert np.shape(told["mean"]) == (3, 1, 1) and told["count"] == [len(frames)]
+    np.testing.assert_allclose(np.ravel(told["mean"]), frames.mean(axis=(0, 1, 2)), atol=0.02)
+    np.testing.assert_allclose(np.ravel(told["std"]), frames.std(axis=(0, 1, 2)), atol=0.03)
+
+
+def test_shares_make_the_same_bytes_as_one_run(whole, tmp_path):
+    shares = [tmp_path / f"share-{index}" for index in range(3)]
+    for index, folder in enumerate(shares):
+        generate(folder, CONFIG, REQUEST, shard=Shard(index, 3))
+    merge(shares[::-1], tmp_path / "set")
+    assert_same_bytes(whole, tmp_path / "set")
+    with pytest.raises(ValueError, match="shares are missing: 2/3"):
+        merge([shares[0], shares[2]], tmp_path / "other")
+    with pytest.raises(ValueError, match="holds 1/3 beside 1/3"):
+        merge([shares[0], shares[0]], tmp_path / "other")
+    with pytest.raises(ValueError, match="is no finished share: record it with --shard"):
+        merge([whole], tmp_path / "other")
+    with pytest.raises(ValueError, match=r"is no share of a dataset: it has no generation\.json"):
+        merge([tmp_path], tmp_path / "other")
+    other = Request(**{**REQUEST.settings(), "seed": 6})
+    (shares[1] / "generation.json").write_text(
+        json.dumps(json.loads((shares[1] / "generation.json").read_text()) | {"request": other.settings()})
+    )
+    with pytest.raises(ValueError, match="is a share of another run"):
+        merge(shares, tmp_path / "other")
+    assert not (tmp_path / "other.partial").exists()
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "2", "a/b", "1/2/3", "-1/2"])
+def test_a_share_that_cannot_be_is_refused(text):
+    with pytest.raises(ValueError, match="shard must be like 2/4"):
+        Shard.parse(text)
+
+
+def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(whole, tmp_path):
+    """Killed when the first episode is safe and others are not."""
+    config, out = tmp_path / "config.toml", tmp_path / "set"
+    config.write_text(CONFIG.to_toml(), encoding="utf-8")
+    numbers = {"transitions": 60, "val-transitions": 8, "seed": 5, "episodes-per-batch": 8}
+    command = [sys.executable, "-m", "owm_envs", "generate", "--out", str(out), "--config", str(config)]
+    command += [word for name, value in numbers.items() for word in (f"--{name}", str(value))]
+    first = tmp_path / "set.partial/pieces/train/000000.arrow"
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        while not first.is_file() and process.poll() is None:
+            pass
+        process.kill()
+    assert first.is_file() and not out.exists()
+    (tmp_path / "set.partial/pieces/train/000001.arrow").unlink(missing_ok=True)  # a film without its seal
+    (tmp_path / "set.partial/pieces/train/000001.pixels.mp4").write_bytes(b"half a film")
+    generate(out, CONFIG, REQUEST)
+    assert_same_bytes(whole, out)
+
+
+def test_a_second_writer_is_refused(tmp_path):
+    partial = tmp_path / "set.partial"
+    partial.mkdir()
+    with FileLock(partial / ".lock"), pytest.raises(FolderTaken, match=r"another process records into .*set\.partial"):
+        generate(tmp_path / "set", CONFIG, REQUEST)
+
+
+@pytest.mark.parametrize("side", [16, 15])
+def test_joined_videos_hold_the_frames_of_their_parts(tmp_path, side):
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (7, side, side, 3), dtype=np.uint8)
+    for name, some in (("a", images[:4]), ("b", images[4:5]), ("c", images[5:])):
+        writer = VideoWriter(tmp_path / f"{name}.mp4", 20)
+        for image in some:
+            writer.write(image)
+        writer.close()
+    join_videos([tmp_path / f"{name}.mp4" for name in "abc"], tmp_path / "all.mp4", 20)
+    apart = [image for name in "abc" for _, image in decoded(tmp_path / f"{name}.mp4")]
+    joined = decoded(tmp_path / "all.mp4")
+    assert [float(time) for time, _ in joined] == [row / 20 for row in range(7)]
+    np.testing.assert_array_equal([image for _, image in joined], apart)
