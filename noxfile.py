@@ -40,6 +40,20 @@ TEST_ENVIRONMENT = {
 }
 """Of these a caller's own win."""
 
+LEROBOT_ENVIRONMENT = """
+fidelity = "iss-numerical"
+noise = "cooperative"
+observation = "state+pixels"
+horizon = 10.0
+ports = ["zvezda_aft", "harmony_forward"]
+
+[camera]
+width = 64
+height = 48
+every = 5
+"""
+"""What the dataset that LeRobot reads is recorded in: short flights before a small camera."""
+
 
 def _test_environment(session: nox.Session) -> dict[str, str]:
     """What tests run in, less the flags if XLA has dropped one of them: it aborts at flags that it does not know."""
@@ -144,13 +158,16 @@ def _check_contents(session: nox.Session, built: list[Path]) -> None:
 
 @nox.session
 def lerobot(session: nox.Session) -> None:
-    """Generate a small dataset and read it back with the real LeRobot (brings torch: large)."""
+    """Generate a small dataset with a camera, read it back with the real LeRobot, and lint it (brings torch: large)."""
     envs = _editable("lerobot,test", "outofthisworldmodel-envs")
-    _install(session, *_editable("", "astrojax"), *envs)
+    _install(session, *_editable("", "astrojax"), *envs, "lerobot-doctor>=0.2", "lerobot-lint>=0.1.1")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        config = Path(folder, "config.toml")
+        config.write_text(LEROBOT_ENVIRONMENT, encoding="utf-8")
         dataset = str(Path(folder, "dataset"))
-        arguments = ["--env", "iss-numerical", "--noise", "cooperative", "--transitions", "2000"]
+        arguments = ["--config", str(config), "--transitions", "2000", "--val-transitions", "400"]
         session.run("owm-envs", "generate", *arguments, "--out", dataset)
+        session.run("owm-envs", "verify", dataset)
         offline = {"OWM_LEROBOT_DATASET": dataset, "HF_HUB_OFFLINE": "1"}
         session.run("pytest", "outofthisworldmodel-envs/tests_lerobot", *session.posargs, env=offline)
 

@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 from nbclient import NotebookClient
 
+from owm_envs.config import load_config
+from owm_envs.datasets import Request, generate
 from owm_envs.env import DockingEnv
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -74,6 +76,15 @@ def test_pilots_learn_side_by_side_and_read_back(tmp_path):
         assert {len(leaf) for leaf in saved.values()} == {2}
         assert all((leaf[0] != leaf[1]).any() for name, leaf in saved.items() if "actor" in name)
     assert (tmp_path / "learning_curve.png").stat().st_size > 0
+
+
+def test_windows_stream_through_grain_and_are_taken_up_again(tmp_path):
+    pytest.importorskip("grain")
+    config = load_config(fidelity="iss", noise="none", horizon=6.0, ports=["zvezda_aft"])
+    generate(tmp_path / "set", config, Request(200, 120, seed=1, episodes_per_batch=8))
+    said = run("load_grain", str(tmp_path / "set"), "--batch", "4", "--batches", "3")
+    assert "observation.state: (4, 24, 13) float32" in said and "action: (4, 23, 6) float32" in said
+    assert "3 batches" in said and said.endswith("taken up again: the same\n")
 
 
 def test_a_pilot_bootstraps_from_where_the_horizon_cut_it_off(ppo):

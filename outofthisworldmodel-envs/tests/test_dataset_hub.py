@@ -298,7 +298,7 @@ def test_the_cache_serves_without_the_hub(local_hub, run, tmp_path, monkeypatch,
 
 
 def test_a_dataset_of_others_is_taken_by_the_hubs_hashes_alone(local_hub, run, tmp_path):
-    files = {path: (run / "val" / path).read_bytes() for path in ("meta/info.json", "meta/stats.json", DATA)}
+    files = {f.relative_to(run / "val").as_posix(): f.read_bytes() for f in (run / "val").rglob("*") if f.is_file()}
     local_hub.publish("sislaboratory/val", files | {".gitattributes": b""}, "dataset")
     said = []
     download("sislaboratory/val", tmp_path / "back", announce=said.append)

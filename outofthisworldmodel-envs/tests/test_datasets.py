@@ -43,13 +43,19 @@ def assert_same(episode: Episode, other: Episode) -> None:
 
 
 def made_up(rng: np.random.Generator, length: int, port: int = 3, outcome: Outcome = Outcome.DOCKED) -> Episode:
-    """An episode of random numbers, subnormal and huge ones among them."""
+    """An episode that coasts, of random numbers; subnormal ones among them."""
     last = np.arange(length) == length - 1
-    numbers = rng.normal(size=(length + 1, 13)) * 10.0 ** rng.integers(-140, 140, (length + 1, 13))
+    seconds = np.arange(length + 1)[:, None] / 20
+    coasts = rng.normal(size=3) * 1e-310
+    attitude = np.tile([0.5, 0.5, 0.5, 0.5], (length + 1, 1))
+    moves = [rng.normal(size=3) + seconds * coasts, np.tile(coasts, (length + 1, 1)), attitude, seconds * 0 + [0, 0, 0]]
+    seen = rng.normal(size=(length + 1, 13)).astype(np.float32) * np.float32(1e-40)
+    seen[:, 6:10] = attitude
+    start = rng.uniform(0, 86_000)
     return Episode(
-        observation={"state": rng.normal(size=(length + 1, 13)).astype(np.float32) * np.float32(1e-40)},
-        true_state=numbers,
-        epoch=np.stack([np.full(length + 1, 61_253.0), rng.uniform(0, 86_400, length + 1)], axis=1),
+        observation={"state": seen},
+        true_state=np.concatenate(moves, axis=1),
+        epoch=np.concatenate([np.full((length + 1, 1), 61_253.0), start + seconds], axis=1),
         action=rng.normal(size=(length, 6)).astype(np.float32),
         reward=rng.normal(size=length).astype(np.float32),
         done=last,
@@ -386,7 +392,7 @@ def _break(folder, how):
     if how == "not lerobot":
         info.unlink()
     elif how == "version":
-        info.write_text(info.read_text().replace("v3.0", "v2.1"))
+        info.write_text(info.read_text().replace("v3.0", "v1.6"))
     elif how == "info":
         info.write_text("{")
     elif how == "truncated":
@@ -407,11 +413,11 @@ def _break(folder, how):
         ("missing", FileNotFoundError, "no dataset at"),
         ("split", ValueError, "holds the splits other, set: name one"),
         ("not lerobot", ValueError, "no meta/info.json"),
-        ("version", ValueError, "version v2.1; this reads version v3"),
+        ("version", ValueError, "version 'v1.6'; this reads v2.1 and v3"),
         ("info", ValueError, "not the info.json"),
         ("truncated", ValueError, "may be truncated"),
-        ("no data", FileNotFoundError, "has no data files"),
-        ("incomplete", ValueError, "holds 2 episodes, its info.json tells of 3"),
+        ("no data", FileNotFoundError, "file-000.parquet is missing: .* is incomplete"),
+        ("incomplete", FileNotFoundError, "file-001.parquet is missing: .* is incomplete"),
         ("columns", ValueError, "lacks the columns goal_pose, epoch"),
     ],
 )

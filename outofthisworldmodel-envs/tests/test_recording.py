@@ -137,7 +137,10 @@ def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(whole, tmp_path
 def test_a_second_writer_is_refused(tmp_path):
     partial = tmp_path / "set.partial"
     Claim(partial, settings_of(CONFIG, REQUEST), MARKER).note()
-    with FileLock(partial / ".lock"), pytest.raises(FolderTaken, match=r"another process is recording into .*set\.partial"):
+    with (
+        FileLock(partial / ".lock"),
+        pytest.raises(FolderTaken, match=r"another process is recording into .*set\.partial"),
+    ):
         generate(tmp_path / "set", CONFIG, REQUEST)
 
 

@@ -1,10 +1,12 @@
 """What is trained on and what is set aside, of one dataset and of several."""
 
+import shutil
 from collections import Counter
 
 import numpy as np
 import pytest
 
+from owm.cli import main
 from owm.data import recordings
 from owm.data.recordings import corpus_facts, training_episodes
 from owm_envs.config import load_config
@@ -52,6 +54,17 @@ def test_a_recording_of_actions_held_for_a_step_is_taken_as_it_is(tmp_path):
     first = episodes.track == 0
     np.testing.assert_allclose(episodes.view[first][:, :6], recorded[0].observation["state"][:, :6], rtol=1e-6)
     np.testing.assert_allclose(episodes.action[first][:-1], recorded[0].action, rtol=1e-6)
+
+
+def test_a_damaged_corpus_is_refused_in_a_line_before_training(corpora, tmp_path, capfd):
+    corpus = shutil.copytree(corpora[0], tmp_path / "corpus")
+    info = corpus / "val/meta/info.json"
+    info.write_text(info.read_text().replace('"fps": 20', '"fps": 4'))
+    with pytest.raises(SystemExit) as stop:
+        main(["train", "--data", str(corpus), "--out", str(tmp_path / "run")])
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert stop.value.code == 2 and said.startswith("error: ") and "val/meta/info.json" in said
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_corpus_tells_its_facts(corpora, tmp_path):

@@ -1,12 +1,14 @@
 """The learned world model: its attention, its interface, its invariances, its files."""
 
 import json
+from hashlib import sha256
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import safetensors.numpy
 import synthetic
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_rotate
@@ -428,6 +430,48 @@ def test_numbers_that_are_not_finite_are_neither_written_nor_read(model, tmp_pat
             save_world_model(bad, folder)
         with pytest.raises(CheckpointError, match=f"{folder.name}.*{told}"):
             load_world_model(folder)
+
+
+def _replaced(saved, name, data):
+    """Another file in a checkpoint, whose digest is made to fit."""
+    header = json.loads((saved / "config.json").read_text(encoding="utf-8"))
+    (saved / name).write_bytes(data)
+    header["sha256"][name] = sha256(data).hexdigest()
+    (saved / "config.json").write_text(json.dumps(header), encoding="utf-8")
+
+
+def _with(tensors, name, value):
+    return safetensors.numpy.save(tensors | {name: value(tensors[name])})
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "message"),
+    [
+        ("weights", lambda t: safetensors.numpy.save({}), "holds no weights"),
+        ("weights", lambda t: b"", "cannot be read"),
+        ("weights", lambda t: _with(t, "head.out.weight", lambda w: w * 1j), "head.out.weight must hold real numbers"),
+        ("weights", lambda t: _with(t, "head.out.weight", lambda w: w / 0), "head.out.weight holds .* not finite"),
+        ("statistics", lambda t: b'{"linear.bias": [NaN]}', "linear.bias holds 1 of 1 numbers that are not finite"),
+        ("statistics", lambda t: b'{"linear.bias": ["1j"]}', "linear.bias must hold real numbers"),
+        ("statistics", lambda t: b'{"linear.bias": [[1], [1, 2]]}', "cannot be read"),
+        ("statistics", lambda t: b"[1, 2]", "must be tables by name"),
+        ("statistics", lambda t: b"[" * 10**5, "cannot be read"),
+    ],
+)
+def test_damage_that_fits_its_digest_is_named(saved, name, damage, message):
+    tensors = safetensors.numpy.load((saved / "weights.safetensors").read_bytes())
+    with np.errstate(all="ignore"):
+        data = damage(tensors)
+    _replaced(saved, {"weights": "weights.safetensors", "statistics": "statistics.json"}[name], data)
+    with pytest.raises(CheckpointError, match=message):
+        load_world_model(saved)
+
+
+@pytest.mark.parametrize("text", ["[" * 10**5, "[1]", '{"format": 2, "kind": "learned", "sha256": 3}', "\xff"])
+def test_a_damaged_header_is_named(saved, text):
+    (saved / "config.json").write_text(text, encoding="latin-1")
+    with pytest.raises(CheckpointError, match=r"config\.json is damaged"):
+        load_world_model(saved)
 
 
 def test_another_configuration_is_refused(saved):

@@ -1,5 +1,6 @@
 """The `owm-envs` command. Heavy imports wait inside the commands, so that `--help` is quick."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,34 @@ import tyro
 from owm_envs import __version__
 from owm_envs.commands.record import generate, merge
 from owm_envs.shell import resumable, run
+
+
+def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:
+    """Check a dataset: hashes, counts, each row, statistics, each frame, dynamics, noise and a picture drawn anew.
+
+    Ends with 1 if something is wrong, and says what.
+
+    Args:
+        dataset: Folder of a dataset, or its name on the hub, user/name with an optional @revision.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    from owm_envs.datasets.verify import WRONG, verify
+
+    console = Console(stderr=True)
+    with console.status("") as status:
+        report = verify(dataset, progress=status.update)
+    table = Table(title=dataset)
+    for heading in ("check", "split", "result", "figure"):
+        table.add_column(heading, overflow="fold")
+    for check, split, result, told in report.findings:
+        table.add_row(check, split, result, "" if result == WRONG else told)
+    Console().print(table)
+    for finding in report.wrong:
+        print(f"wrong: {finding.told}", file=sys.stderr)
+    if not report.sound:
+        raise SystemExit(1)
 
 
 def render(
@@ -357,6 +386,7 @@ def _application(arguments: list[str]) -> tyro.extras.SubcommandApp:
     station.command(station_show, name="show")
     app = tyro.extras.SubcommandApp()
     app.command(generate)
+    app.command(verify)
     app.command(merge)
     app.command(render)
     app.command(push)

@@ -128,8 +128,8 @@ def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) ->
         raise NoCheckpointError(path)
     try:
         header = json.loads((path / "config.json").read_text(encoding="utf-8"))
-        version, kind, digests = header["format"], header["kind"], header["sha256"]
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        version, kind, digests = header["format"], header["kind"], dict(header["sha256"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise CheckpointError(f"{path / 'config.json'} is damaged: {error!r}") from error
     if version != FORMAT:
         raise CheckpointError(f"{path} has format {version!r}, this version reads format {FORMAT}")
@@ -143,11 +143,13 @@ def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) ->
     try:
         tensors = load_tensors(contents["weights.safetensors"])
         numbers = json.loads(contents["statistics.json"])
+        if not (isinstance(numbers, dict) and isinstance(header["config"], dict)):
+            raise CheckpointError("config and statistics.json must be tables by name")
         check_finite(tensors, {name: np.asarray(value) for name, value in numbers.items()})
         return make(Contents(kind, header["name"], header["config"], tensors, numbers))
     except CheckpointError as error:
         raise CheckpointError(f"{path}: {error}") from None
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path} cannot be read: {error}") from error
 
 
@@ -155,10 +157,13 @@ def check_finite(*trees: PyTree) -> None:
     """Refuse numbers that predict nothing.
 
     Raises:
-        CheckpointError: a leaf holds one that is not finite, naming it.
+        CheckpointError: a leaf holds one that is not finite, or not real, naming it.
     """
     for tree in trees:
         for name, leaf in _named(tree).items():
+            kinds = (jnp.floating, jnp.integer, jnp.bool_)
+            if not any(jnp.issubdtype(leaf.dtype, kind) for kind in kinds):
+                raise CheckpointError(f"{name} must hold real numbers, got {leaf.dtype}")
             if bad := np.count_nonzero(~np.isfinite(leaf)):
                 raise CheckpointError(f"{name} holds {bad} of {leaf.size} numbers that are not finite")
 

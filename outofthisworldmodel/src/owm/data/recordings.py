@@ -12,7 +12,7 @@ from jaxtyping import Float, Shaped
 
 from owm.data.windows import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.fetch import local_dataset, origin
-from owm_envs.datasets.reader import dataset_folder, read, read_info
+from owm_envs.datasets.reader import open_dataset
 from owm_envs.episode import Episode
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
@@ -48,17 +48,17 @@ def read_recordings(path: str | os.PathLike, split: str) -> list[Recording]:
 
     Raises:
         FileNotFoundError: there is no such dataset or split.
-        ValueError: the dataset is damaged, or recorded at another rate.
+        ValueError: the dataset is damaged, as its reader tells in one line, or recorded at another rate.
     """
-    folder = dataset_folder(path, split)
-    rate = read_info(folder).get("fps") or RATE
+    dataset = open_dataset(path, split)
+    rate = dataset.fps or RATE
     strides = {RATE: STRIDE, RATE // STRIDE: 1}
     if rate not in strides:
         raise ValueError(
-            f"{folder} holds {rate:g} frames a second; the model steps over {STRIDE} frames of a {RATE} Hz "
+            f"{dataset.folder} holds {rate:g} frames a second; the model steps over {STRIDE} frames of a {RATE} Hz "
             f"recording, or one of {RATE // STRIDE} Hz: generate it with steps_per_action=1 or {STRIDE}"
         )
-    return [recorded(episode, strides[rate]) for episode in read(path, split)]
+    return [recorded(episode, strides[rate]) for episode in dataset.episodes()]
 
 
 def at_model_rate(recordings: Iterable[Recording], *, ports: Sequence[str] | None = None, phases: int = 1) -> Episodes:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int, Shaped
 
 from astrojax.attitude import quat_sign
 from owm.interface import History
+from owm_envs.datasets.windows import grid, mean_actions
 from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
 
@@ -155,8 +156,8 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
     further: dict[str, list[np.ndarray]] = {}
     tracks = 0
     for number, episode in enumerate(episodes):
-        parts = {name: np.asarray(values) for name, values in episode.observation.items()}
-        seen = parts.pop(STATE, np.zeros(0))
+        parts = dict(episode.observation)  # a video is decoded at the rows taken, below
+        seen = np.asarray(parts.pop(STATE, np.zeros(0)))
         act = np.asarray(episode.action)
         true = getattr(episode, "true_state", None)
         true = seen if true is None else np.asarray(true)
@@ -178,18 +179,17 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
         ports.append(str(getattr(episode, "port", "")))
         stride = getattr(episode, "stride", STRIDE)
         for phase in range(min(phases, stride)):
-            steps = (len(act) - phase) // stride
-            if steps < 1:
+            rows = grid(len(act), stride, phase)
+            if len(rows) < 2:
                 continue
-            rows = phase + stride * np.arange(steps + 1)
-            mean = act[phase : phase + stride * steps].reshape(steps, stride, 6).mean(axis=1)
+            mean = mean_actions(act, rows)
             observation.append(_continuous(seen[rows]).astype(dtype))
             for name, values in parts.items():
-                further[name].append(values[rows])
+                further[name].append(np.asarray(values[rows]))
             truth.append(_continuous(true[rows]).astype(dtype))
             action.append(np.concatenate([mean, np.zeros((1, 6))]).astype(dtype))
-            track.append(np.full(steps + 1, tracks, np.int32))
-            source.append(np.full(steps + 1, number, np.int32))
+            track.append(np.full(len(rows), tracks, np.int32))
+            source.append(np.full(len(rows), number, np.int32))
             tracks += 1
     if not observation:
         raise ValueError(f"no episode holds a transition: {len(policies)} given, {STRIDE + 1} frames needed")

@@ -105,6 +105,8 @@ class LearnedWorldModel:
             wrong = [k for k in ModelConfig.model_fields if getattr(config, k) != getattr(expect, k)]
             details = ", ".join(f"{k}={getattr(config, k)!r} where {getattr(expect, k)!r} is expected" for k in wrong)
             raise CheckpointError(f"another configuration: {details}")
+        if not contents.weights:
+            raise CheckpointError("weights.safetensors holds no weights")
         dtype = next(iter(contents.weights.values())).dtype
         skeleton = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0), dtype=dtype))
         numbers = {k: np.asarray(v, dtype) for k, v in contents.statistics.items()}
