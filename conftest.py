@@ -1,9 +1,13 @@
 """What the tests of all three packages share: JAX's strictness flags, to be set as a caller would."""
 
 import contextlib
+import gc
 
 import jax
 import pytest
+
+# Tracing makes objects by the million, few of them in circles: by default the collector takes a tenth of the time.
+gc.set_threshold(100_000, 50, 50)
 
 STRICT = {
     "numpy_dtype_promotion": "strict",
