@@ -1,6 +1,7 @@
-"""What the tests of all three packages share: JAX's strictness flags, to be set as a caller would."""
+"""What the tests of all three packages share: JAX's strictness flags, and how hard XLA tries."""
 
 import contextlib
+import functools
 import gc
 
 import jax
@@ -35,3 +36,26 @@ def jax_flags():
                 jax.config.update(f"jax_{name}", value)
 
     return flags
+
+
+def _jit(**options):
+    """`jax.jit` with XLA's options, where it knows them."""
+    try:
+        jax.jit(lambda x: x, compiler_options=options)(1.0)
+    except jax.errors.JaxRuntimeError:
+        options = None
+    return functools.partial(jax.jit, compiler_options=options)
+
+
+@pytest.fixture(scope="session")
+def quick():
+    """`jax.jit` that skips optimisation: for programs that run once."""
+    return _jit(xla_backend_optimization_level=0, xla_cpu_use_fusion_emitters=False)
+
+
+@pytest.fixture(scope="session")
+def optimised():
+    """`jax.jit` as users have it, whatever the tests' flags: for roundings, and for programs that run long."""
+    return _jit(
+        xla_backend_optimization_level=3, xla_llvm_disable_expensive_passes=False, xla_cpu_use_fusion_emitters=True
+    )
