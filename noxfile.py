@@ -33,10 +33,11 @@ TEST_ENVIRONMENT = {
     # Tests only: on some processors XLA refuses what it stored and says so at length, which pytest hides.
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-    # Programs run briefly here, and most of the time goes into compiling them: without its dearest passes XLA takes
-    # half as long. `XLA_FLAGS= nox -s tests` tests what users compile, and so does the demo.
+    # Programs run briefly here, and most of the time goes into compiling them: without optimised machine code, made
+    # by one thread (each more begins anew), XLA takes a quarter as long. `XLA_FLAGS= nox -s tests` tests what users
+    # compile, and so does the demo.
     "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_llvm_disable_expensive_passes=true "
-    "--xla_backend_optimization_level=1",
+    "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1",
 }
 """Of these a caller's own win."""
 

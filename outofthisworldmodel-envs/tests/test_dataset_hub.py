@@ -82,12 +82,15 @@ def test_a_run_comes_back_as_it_was(local_hub, run, tmp_path, capsys):
 
 
 def test_a_second_push_sends_what_changed_and_moves_the_tag(local_hub, run):
+    more = run / "train" / "data" / "chunk-000" / "file-001.parquet"
+    more.write_bytes((run / "train" / DATA).read_bytes())
+    write_manifest(run)
     first = pushed(run)
     sent = local_hub.sent()
     assert [push.commit for push in pushed(run)] == [push.commit for push in first], "nothing new, no commit"
     assert local_hub.sent() == sent
     (run / "train" / DATA).write_bytes((run / "val" / DATA).read_bytes())
-    (run / "train" / "data" / "chunk-000" / "file-001.parquet").unlink()
+    more.unlink()
     write_manifest(run)
     train, val = pushed(run)
     assert set(train.sent) >= {DATA, "manifest.json"} and not any(path.startswith("meta/") for path in train.sent)

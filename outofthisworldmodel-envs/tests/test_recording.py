@@ -139,7 +139,7 @@ def test_a_second_writer_is_refused(tmp_path):
     Claim(partial, settings_of(CONFIG, REQUEST), MARKER).note()
     with (
         FileLock(partial / ".lock"),
-        pytest.raises(FolderTaken, match=r"another process is recording into .*set\.partial"),
+        pytest.raises(FolderTaken, match=r"is recording into .*set\.partial"),
     ):
         generate(tmp_path / "set", CONFIG, REQUEST)
 
