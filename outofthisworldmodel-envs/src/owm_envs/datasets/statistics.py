@@ -4,7 +4,7 @@ All are exact, whatever the number of rows, in constant memory: moments and extr
 found in passes over the rows, those of pixels in histograms.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 from jaxtyping import Float, Int, Shaped
@@ -14,7 +14,7 @@ NO_TRANSITION_ROWS = ("action", "next.reward")
 """Columns whose last row in an episode is padding and is left out."""
 WIDEST = 64
 """Columns of more numbers a row have averages of their episodes' quantiles, as LeRobot's own writer has of all."""
-_DIGIT, _DIGITS = 16, 4
+_DIGIT, _AT_ONCE = 16, 2**17
 
 Statistics = dict[str, dict[str, np.ndarray]]
 """Column to {min, max, mean, std, count, q01, q10, q50, q90, q99}, each (width,), count (1,); of pixels (3, 1, 1)."""
@@ -83,38 +83,77 @@ def _union(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str
     }
 
 
-def exact_quantiles(rows: Callable[[], Iterable[Shaped[np.ndarray, "N W"]]]) -> dict[str, Float[np.ndarray, "W"]]:
-    """Quantiles of all rows together, by linear interpolation as NumPy's, found digit by digit of the numbers' bits.
+def exact_quantiles(
+    rows: Callable[[], Iterable[Shaped[np.ndarray, "N W"]]], most: int = 2**22
+) -> dict[str, Float[np.ndarray, "W"]]:
+    """Quantiles of all rows together, by linear interpolation as NumPy's.
+
+    Numbers are told apart by their leading bits, 16 more at each pass, until few enough begin like those wanted.
 
     Args:
         rows: gives them anew at each call, some at a time.
+        most: numbers that are held at a time, beside some of the rows.
     """
-    digit = np.uint64((1 << _DIGIT) - 1)
     count = sum(len(some) for some in rows())
     ranks = sorted({rank for q in QUANTILES.values() for rank in _ranks(q, count)})
     width = next(iter(rows())).shape[1]
-    # Of each column and rank: the leading digits found, and the rank among the numbers that begin with them.
+    # Of each column and rank: the leading bits found, and the rank among the numbers that begin with them.
     found = {(column, rank): (0, rank) for column in range(width) for rank in ranks}
-    for place in range(_DIGITS):
-        shift = np.uint64(_DIGIT * (_DIGITS - 1 - place))
-        wanted: dict[tuple[int, int], np.ndarray] = {
-            (column, prefix): np.zeros(1 << _DIGIT, np.int64) for (column, _), (prefix, _) in found.items()
-        }
-        for some in rows():
-            keys = _sortable(some)
-            for (column, prefix), counts in wanted.items():
-                own = keys[:, column]
-                if place:
-                    own = own[own >> (shift + np.uint64(_DIGIT)) == np.uint64(prefix)]
-                counts += np.bincount(((own >> shift) & digit).astype(np.int64), minlength=1 << _DIGIT)
-        upto = {key: counts.cumsum() for key, counts in wanted.items()}
-        for (column, rank), (prefix, within) in found.items():
-            below = upto[column, prefix]
-            next_digit = int(np.searchsorted(below, within, side="right"))
-            before = int(below[next_digit - 1]) if next_digit else 0
-            found[column, rank] = (prefix << _DIGIT | next_digit, within - before)
-    number = lambda rank: _from_sortable(np.array([found[column, rank][0] for column in range(width)], np.uint64))
+    for bits in range(0, 64, _DIGIT):
+        counts = {key: np.zeros(1 << _DIGIT, np.int64) for key in _beginnings(found)}
+        for keys in _batches(rows):
+            for (column, beginning), those in counts.items():
+                own = _like(keys[:, column], bits, beginning)
+                digits = (own >> np.uint64(64 - _DIGIT - bits)) & np.uint64((1 << _DIGIT) - 1)
+                those += np.bincount(digits.astype(np.int64), minlength=1 << _DIGIT)
+        upto = {key: those.cumsum() for key, those in counts.items()}
+        held = {}
+        for (column, rank), (beginning, within) in found.items():
+            below = upto[column, beginning]
+            digit = int(np.searchsorted(below, within, side="right"))
+            before = int(below[digit - 1]) if digit else 0
+            found[column, rank] = longer = beginning << _DIGIT | digit, within - before
+            held[column, longer[0]] = int(below[digit]) - before
+        if sum(held.values()) <= most:
+            break
+    kept: dict[tuple[int, int], list[np.ndarray]] = {key: [] for key in _beginnings(found)}
+    bits += _DIGIT
+    if bits < 64:
+        for keys in _batches(rows):
+            for (column, beginning), those in kept.items():
+                those.append(_like(keys[:, column], bits, beginning))
+    values = {key: np.sort(np.concatenate(those)) if those else None for key, those in kept.items()}
+
+    def number(rank: int) -> np.ndarray:
+        keys = []
+        for column in range(width):
+            beginning, within = found[column, rank]
+            those = values[column, beginning]
+            keys.append(beginning if those is None else int(those[within]))
+        return _from_sortable(np.array(keys, np.uint64))
+
     return {key: _interpolated(q, count, number) for key, q in QUANTILES.items()}
+
+
+def _beginnings(found: Mapping[tuple[int, int], tuple[int, int]]) -> set[tuple[int, int]]:
+    return {(column, beginning) for (column, _), (beginning, _) in found.items()}
+
+
+def _batches(rows: Callable[[], Iterable[np.ndarray]]) -> Iterator[np.ndarray]:
+    """Rows as sortable integers, many at a time."""
+    some: list[np.ndarray] = []
+    for each in rows():
+        some.append(each)
+        if sum(map(len, some)) >= _AT_ONCE:
+            yield _sortable(np.concatenate(some))
+            some = []
+    if some:
+        yield _sortable(np.concatenate(some))
+
+
+def _like(keys: np.ndarray, bits: int, beginning: int) -> np.ndarray:
+    """Those whose leading bits are these."""
+    return keys[keys >> np.uint64(64 - bits) == np.uint64(beginning)] if bits else keys
 
 
 def _sortable(values: np.ndarray) -> np.ndarray:
