@@ -1,6 +1,8 @@
-"""What the tests of all three packages share: JAX's strictness flags, to be set as a caller would; a local hub."""
+"""What the tests of all three packages share: JAX's strictness flags, how hard XLA tries, a local hub."""
 
 import contextlib
+import functools
+import gc
 import sys
 from pathlib import Path
 
@@ -11,6 +13,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent / "tests"))
 
 from local_hub import LocalHub
+
+# Tracing makes objects by the million, few of them in circles: by default the collector takes a tenth of the time.
+gc.set_threshold(100_000, 50, 50)
 
 STRICT = {
     "numpy_dtype_promotion": "strict",
@@ -58,3 +63,26 @@ def local_hub(tmp_path, monkeypatch):
     monkeypatch.delenv("HF_TOKEN", raising=False)
     yield hub
     hub.close()
+
+
+def _jit(**options):
+    """`jax.jit` with XLA's options, where it knows them."""
+    try:
+        jax.jit(lambda x: x, compiler_options=options)(1.0)
+    except jax.errors.JaxRuntimeError:
+        options = None
+    return functools.partial(jax.jit, compiler_options=options)
+
+
+@pytest.fixture(scope="session")
+def quick():
+    """`jax.jit` that skips optimisation: for programs that run once."""
+    return _jit(xla_backend_optimization_level=0, xla_cpu_use_fusion_emitters=False)
+
+
+@pytest.fixture(scope="session")
+def optimised():
+    """`jax.jit` as users have it, whatever the tests' flags: for roundings, and for programs that run long."""
+    return _jit(
+        xla_backend_optimization_level=3, xla_llvm_disable_expensive_passes=False, xla_cpu_use_fusion_emitters=True
+    )

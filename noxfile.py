@@ -23,20 +23,21 @@ nox.options.sessions = ["lint", "tests"]
 ROOT = Path(__file__).parent.resolve()
 PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "outofthisworldmodel": "owm"}
 RUFF = "ruff==0.17.6"
-CLIENTS = ("==0.34.0", ">=2")
-"""Of the Hugging Face hub: the oldest that pyproject.toml allows, and the newest."""
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 """Names that tests look for in the path, unless `OWM_CHROMIUM` says where it is."""
+CLIENTS = ("==0.34.0", ">=2")
+"""Of the Hugging Face hub: the oldest that pyproject.toml allows, and the newest."""
 
 TEST_ENVIRONMENT = {
     # Compiled programs outlive the test process, so a second run skips most of the waiting. Safe to delete.
     # Tests only: on some processors XLA refuses what it stored and says so at length, which pytest hides.
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
-    # Programs run briefly here, and most of the time goes into compiling them: without its dearest passes XLA takes
-    # half as long. `XLA_FLAGS= nox -s tests` tests what users compile, and so does the demo.
+    # Programs run briefly here, and most of the time goes into compiling them: without optimised machine code, made
+    # by one thread (each more begins anew), XLA takes a quarter as long. `XLA_FLAGS= nox -s tests` tests what users
+    # compile, and so does the demo.
     "XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_llvm_disable_expensive_passes=true "
-    "--xla_backend_optimization_level=1",
+    "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1",
 }
 """Of these a caller's own win."""
 
@@ -179,6 +180,15 @@ def browser(session: nox.Session) -> None:
     if not (os.environ.get("OWM_CHROMIUM") or any(map(shutil.which, CHROMIUM))):
         session.run("playwright", "install", "chromium")
     session.run("pytest", "outofthisworldmodel-envs/tests_browser", *session.posargs, env=_test_environment(session))
+
+
+@nox.session
+@nox.parametrize("client", CLIENTS)
+def hub(session: nox.Session, client: str) -> None:
+    """Test push and download with the oldest and the newest client of the Hugging Face hub."""
+    _install(session, *_editable("test"), f"huggingface-hub{client}")
+    tests = ("outofthisworldmodel-envs/tests/test_dataset_hub.py", "outofthisworldmodel/tests/test_hub.py")
+    session.run("pytest", *tests, *session.posargs, env=_test_environment(session))
 
 
 @nox.session

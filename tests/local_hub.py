@@ -59,7 +59,8 @@ class Repo:
 class Fault:
     """What is to go wrong with requests whose path holds `where`.
 
-    `how` is an HTTP status, "drop" (the connection breaks halfway) or "wrong" (other bytes, as many).
+    `how` is an HTTP status, "drop" (the connection breaks halfway), "wrong" (other bytes, as many) or "hold" (nothing
+    comes after half of them).
     """
 
     where: str
@@ -79,6 +80,8 @@ class LocalHub:
         self.asked: list[str] = []
         self.hidden: list[str] = []  # paths that trees list in addition
         self.closed = False  # whether a token is needed
+        self.held = threading.Event()  # somebody waits for the other half
+        self._end = threading.Event()
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), {"hub": self}))
         self.server.daemon_threads = True
         self.address = f"http://127.0.0.1:{self.server.server_port}"
@@ -100,6 +103,7 @@ class LocalHub:
         return [unquote(found[2]) for found in gets if found]
 
     def close(self):
+        self._end.set()
         self.server.shutdown()
         self.server.server_close()
 
@@ -287,8 +291,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command == "HEAD":
             return
-        if how == "drop":
+        if how in ("drop", "hold"):
             self.wfile.write(data[: len(data) // 2])
+            if how == "hold":
+                self.hub.held.set()
+                self.hub._end.wait()
             self.close_connection = True
             return
         self.wfile.write(data)

@@ -1,6 +1,5 @@
 """Shapes and dtypes of every public annotation are checked while the tests run."""
 
-import functools
 import sys
 
 from jaxtyping import install_import_hook
@@ -33,14 +32,3 @@ def x64():
 @pytest.fixture
 def rng():
     return np.random.default_rng(20260801)
-
-
-@pytest.fixture(scope="session")
-def quick():
-    """`jax.jit` that skips optimisation, where JAX has the options: most of the time goes into compiling."""
-    options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
-    try:
-        jax.jit(lambda x: x, compiler_options=options)(1.0)
-    except jax.errors.JaxRuntimeError:
-        options = None
-    return functools.partial(jax.jit, compiler_options=options)

@@ -298,7 +298,7 @@ def close(actual, expected, rtol):
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_values(case, quick, x64):
+def test_values(case, quick, optimised, x64):
     """jit = eager, vmap = loop, float32 in gives float32 out (close to float64), one trace for all points."""
     traces = []
 
@@ -306,7 +306,7 @@ def test_values(case, quick, x64):
         traces.append(1)
         return case.fn(*args)
 
-    compiled = jax.jit(counted)  # fully optimised: reassociation is part of what is tested
+    compiled = optimised(counted)  # reassociation is part of what is tested
     points = [cast(args, jnp.float64) for args in case.points]
     expected = [compiled(*args) for args in points]
     close(case.fn(*points[-1]), expected[-1], 1e-12)

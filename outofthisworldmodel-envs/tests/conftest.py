@@ -21,17 +21,6 @@ def x64():
 
 
 @pytest.fixture(scope="session")
-def quick():
-    """`jax.jit` that skips optimisation, where JAX has the options: for programs that run once."""
-    options = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
-    try:
-        jax.jit(lambda x: x, compiler_options=options)(1.0)
-    except jax.errors.JaxRuntimeError:
-        options = None
-    return functools.partial(jax.jit, compiler_options=options)
-
-
-@pytest.fixture(scope="session")
 def docking():
     """Builds (env, params, jitted reset, jitted step), compiled once a structure and session; use within `x64`."""
 

@@ -298,7 +298,7 @@ def test_a_costly_sensor_is_asked_only_where_it_is_due(x64):
 def test_gradients_pass_a_costly_sensor_by(x64):
     env = DockingEnv(CONFIG, sensors=(Counter(every=1),))
     params = env.default_params()
-    state, _ = env.reset(params, key=jax.random.key(0))
+    state, _ = jax.jit(env.reset)(params, key=jax.random.key(0))
 
     def loss(action):
         after, _ = env.step(params, state, action)

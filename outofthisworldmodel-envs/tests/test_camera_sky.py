@@ -293,16 +293,18 @@ def test_no_direction_is_nan_and_none_is_negative():
         assert np.isfinite(light).all() and (light >= 0).all()
 
 
-def test_blocks_and_batches_change_nothing():
+def test_blocks_and_batches_change_nothing(optimised):
+    options = {**compiler_options(), **(optimised.keywords["compiler_options"] or {})}
     seen, rays = next(random_cases(1))
-    rays = rays / np.linalg.norm(rays, axis=1)[:, None]
-    alone = shown(seen, rays)
-    many = jnp.asarray(np.tile(rays, (2 * BLOCK // len(rays), 1)), jnp.float32)
-    blocks = np.asarray(SHOW(load_sky(), as_float32(seen), many, FOOTPRINT))
+    rays = jnp.asarray(rays / np.linalg.norm(rays, axis=1)[:, None], jnp.float32)
+    show = jax.jit(sky_radiance, compiler_options=options)
+    alone = show(load_sky(), as_float32(seen), rays, FOOTPRINT)
+    many = jnp.tile(rays, (2 * BLOCK // len(rays), 1))
+    blocks = np.asarray(show(load_sky(), as_float32(seen), many, FOOTPRINT))
     np.testing.assert_allclose(blocks.reshape(-1, 512, 3)[-1], alone, rtol=2e-5, atol=1e-6)
     batch = jax.tree.map(lambda x: jnp.stack([x, x]), as_float32(seen))
-    both = jax.jit(jax.vmap(sky_radiance, (None, 0, None, None)), compiler_options=compiler_options())
-    light = both(load_sky(), batch, jnp.asarray(rays[:64], jnp.float32), FOOTPRINT)
+    both = jax.jit(jax.vmap(sky_radiance, (None, 0, None, None)), compiler_options=options)
+    light = both(load_sky(), batch, rays[:64], FOOTPRINT)
     np.testing.assert_allclose(light[1], alone[:64], rtol=2e-5, atol=1e-6)
 
 

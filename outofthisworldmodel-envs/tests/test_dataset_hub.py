@@ -1,6 +1,7 @@
 """Recorded datasets on a hub: pushed, fetched at a commit, checked; with the hub's real client and a hub of our own."""
 
 import json
+import os
 import shlex
 import shutil
 import subprocess
@@ -81,12 +82,15 @@ def test_a_run_comes_back_as_it_was(local_hub, run, tmp_path, capsys):
 
 
 def test_a_second_push_sends_what_changed_and_moves_the_tag(local_hub, run):
+    more = run / "train" / "data" / "chunk-000" / "file-001.parquet"
+    more.write_bytes((run / "train" / DATA).read_bytes())
+    write_manifest(run)
     first = pushed(run)
     sent = local_hub.sent()
     assert [push.commit for push in pushed(run)] == [push.commit for push in first], "nothing new, no commit"
     assert local_hub.sent() == sent
     (run / "train" / DATA).write_bytes((run / "val" / DATA).read_bytes())
-    (run / "train" / "data" / "chunk-000" / "file-001.parquet").unlink()
+    more.unlink()
     write_manifest(run)
     train, val = pushed(run)
     assert set(train.sent) >= {DATA, "manifest.json"} and not any(path.startswith("meta/") for path in train.sent)
@@ -240,6 +244,23 @@ def test_a_killed_download_goes_on(local_hub, run, tmp_path):
     download("user/set", out)
     check_manifest(out)
     assert (out / "val/meta/info.json").stat().st_ino == kept and not partial.exists()
+
+
+def test_a_download_killed_in_the_middle_of_a_file_is_resumed(local_hub, run, tmp_path):
+    pushed(run, together=True)
+    local_hub.faults.append(Fault(f"val/{DATA}", "hold"))
+    out = tmp_path / "back"
+    words = [sys.executable, "-m", "owm_envs", "download", "user/set", "--out", str(out)]
+    environment = os.environ | {"HF_ENDPOINT": local_hub.address, "HF_HOME": str(tmp_path / "home")}
+    with subprocess.Popen(words, env=environment, stderr=subprocess.DEVNULL) as process:
+        assert local_hub.held.wait(60)
+        process.kill()
+    assert not out.exists()
+    local_hub.faults.clear()
+    local_hub.asked.clear()
+    subprocess.run(words, env=environment, check=True, capture_output=True)
+    check_manifest(out)
+    assert 0 < len(local_hub.fetched()) < len([file for file in out.rglob("*") if file.is_file()])
 
 
 def test_a_folder_that_holds_something_else_is_refused(local_hub, run, tmp_path):

@@ -20,13 +20,14 @@ from owm_envs.task.events import Outcome
 from owm_envs.view import View
 
 SHORT = {"noise": "cooperative", "horizon": 0.2}  # four steps an episode
+SIZE = {"width": 480, "height": 270}  # of all schematics in the tests, which is one program
 IDS_OF = {fidelity: name for name, fidelity in IDS.items() if name.endswith("-v0")}
 ACTION = np.array([300.0, -200.0, 100.0, 50.0, -40.0, 30.0], np.float32)
 
 
 @pytest.fixture
 def env(fidelity):
-    env = gymnasium.make(IDS_OF[fidelity], **SHORT)
+    env = gymnasium.make(IDS_OF[fidelity], **SHORT, **SIZE)
     yield env
     env.close()
 
@@ -229,7 +230,7 @@ def test_one_trace_whatever_the_port_seed_and_length(vector):
 
 
 def test_environments_that_differ_in_numbers_share_their_programs(vector):
-    env = vector(horizon=0.3, goal_error=False)
+    env = vector(horizon=0.3)
     env.reset(seed=0)
     for _ in range(8):
         plain = env.step(np.tile(ACTION, (2, 1)))[4]
@@ -243,7 +244,7 @@ def test_environments_that_differ_in_numbers_share_their_programs(vector):
         "reset": {"radius_min": 150.0},
         "chief": {"inclination_deg": 28.5},
     }
-    other = vector(goal_error=False, **changes)
+    other = vector(**changes)
     _, info = other.reset(seed=0)
     assert {PORT_NAMES[port] for port in info["port"]} == {"zvezda_aft"}
     after = other.step(np.tile(ACTION, (2, 1)))[4]
@@ -270,8 +271,8 @@ def test_info_tells_what_was_drawn(vector):
 
 
 def test_normalised_spaces(vector):
-    env = vector(normalize=True)
-    assert env.single_action_space.high.max() == 1.0
+    env = vector(normalize=True, goal_error=False)
+    assert env.single_action_space.high.max() == 1.0 and env.single_observation_space.shape == (13,)
     observation, _ = env.reset(seed=0)
     assert np.abs(observation).max() < 2.0
     raw = vector()
@@ -282,7 +283,7 @@ def test_normalised_spaces(vector):
 
 
 def test_rgb_array_shows_the_flight():
-    env = gymnasium.make("ISS-v0", render_mode="rgb_array", width=480, height=270, **SHORT)
+    env = gymnasium.make("ISS-v0", render_mode="rgb_array", **SHORT, **SIZE)
     env.reset(seed=0)
     before = env.render()
     env.step(ACTION)

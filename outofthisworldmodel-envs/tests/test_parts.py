@@ -171,8 +171,8 @@ def test_recorded_parts_are_those_of_the_rollout(recorded):
 
 
 def test_a_policy_flies_on_dicts():
-    envs = gymnasium.make_vec("ISS-v0", num_envs=2, config=CONFIG, sensors=SENSORS)
-    plain = gymnasium.make_vec("ISS-v0", num_envs=2, config=CONFIG)
+    envs = gymnasium.make_vec("ISS-v0", num_envs=3, config=CONFIG, sensors=SENSORS)
+    plain = gymnasium.make_vec("ISS-v0", num_envs=3, config=CONFIG)
     policies = [VectorPolicy(make_policy("dock", env.unwrapped.docking_env)) for env in (envs, plain)]
     (observation, info), (array, _) = envs.reset(seed=0), plain.reset(seed=0)
     for policy in policies:

@@ -12,8 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from filelock import FileLock
 
+from owm_envs.claims import Claim
 from owm_envs.config import load_config
-from owm_envs.datasets.generate import Shard, generate
+from owm_envs.datasets.generate import MARKER, Shard, generate, settings_of
 from owm_envs.datasets.merge import merge
 from owm_envs.datasets.recipe import Request, flights, splits
 from owm_envs.env import DockingEnv
@@ -135,8 +136,11 @@ def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(whole, tmp_path
 
 def test_a_second_writer_is_refused(tmp_path):
     partial = tmp_path / "set.partial"
-    partial.mkdir()
-    with FileLock(partial / ".lock"), pytest.raises(FolderTaken, match=r"another process records into .*set\.partial"):
+    Claim(partial, settings_of(CONFIG, REQUEST), MARKER).note()
+    with (
+        FileLock(partial / ".lock"),
+        pytest.raises(FolderTaken, match=r"is recording into .*set\.partial"),
+    ):
         generate(tmp_path / "set", CONFIG, REQUEST)
 
 

@@ -10,7 +10,7 @@ import tyro
 
 from owm_envs import __version__
 from owm_envs.commands.record import generate, merge
-from owm_envs.shell import run
+from owm_envs.shell import resumable, run
 
 
 def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:

@@ -158,6 +158,7 @@ def in_strips(function: Callable[[Any], Any], arrays: Any, busy: Bool[Array, "T"
         blank = jax.tree.map(lambda part: jnp.full(part.shape, idle, part.dtype), jax.eval_shape(function, here))
         return jax.lax.cond(_anyone(next(rows).any()), function, lambda _: blank, here)
 
+    function = jax.jit(function, inline=True)
     rows = [folded(leaf) for mine, leaf in zip(own, leaves) if mine]
     results = jax.lax.map(strip, [*rows, folded(busy)])
     return jax.tree.map(lambda a: a.reshape(strips * size, *a.shape[2:])[:tiles], results)

@@ -7,7 +7,7 @@ from typing import Any
 
 from owm_envs.config import NOISE_PRESETS, DockingConfig
 from owm_envs.config.text import fields
-from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, features_of
+from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, OBSERVATION
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.station.ports import PORTS
 
@@ -94,11 +94,11 @@ def dataset_card(
         "| column | width | type | meaning |",
         "|---|---|---|---|",
     ]
-    lines += [
-        f"| `{name}` | {'x'.join(map(str, feature.shape))} | {feature.dtype} | {_MEANING.get(name, _PART)} |"
-        for name, feature in features_of(parts).items()
-        if name in _MEANING or name not in FEATURES
-    ]
+    columns = {name: feature for name, feature in FEATURES.items() if name in _MEANING}
+    columns |= {OBSERVATION + part: feature for part, feature in parts.items() if OBSERVATION + part not in FEATURES}
+    for column, feature in columns.items():
+        size, kind = "x".join(map(str, feature.shape)), getattr(feature.dtype, "name", feature.dtype)
+        lines.append(f"| `{column}` | {size} | {kind} | {_MEANING.get(column, _PART)} |")
     lines += [
         "",
         "`meta/stats.json` holds the statistics of the **train** split in both splits, so that val is normalised "

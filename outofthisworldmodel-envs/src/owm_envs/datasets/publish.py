@@ -14,7 +14,7 @@ from owm_envs.config import load_config
 from owm_envs.datasets.card import dataset_card
 from owm_envs.datasets.fetch import RUN_FILES
 from owm_envs.datasets.manifest import MANIFEST, Entry, check_manifest, load_manifest, manifest_text
-from owm_envs.datasets.schema import CODEBASE_VERSION, part_columns
+from owm_envs.datasets.schema import CODEBASE_VERSION, OBSERVATION, part_columns
 from owm_envs.hub import Repository
 from owm_envs.words import plain
 
@@ -104,7 +104,7 @@ def _described(
         load_config(folder / "config.toml"),
         told["request"],
         told["result"],
-        {column.removeprefix("observation."): part for column, part in parts.items()},
+        {column.removeprefix(OBSERVATION): part for column, part in parts.items()},
         name=name,
         split=alone,
         picture=PICTURE,
