@@ -138,6 +138,10 @@ def add_video(folder: Path) -> Path:
     for name, values in more.items():
         table = table.append_column(f"videos/{VIEW}/{name}", pa.array(values))
     pq.write_table(table, path, write_page_checksum=True)
+    frames = flat_frames(info["total_frames"])
+    stats = json.loads((folder / "meta/stats.json").read_text())
+    stats[VIEW] = {name: np.full((3, 1, 1), getattr(frames / 255, name)()).tolist() for name in ("mean", "std")}
+    (folder / "meta/stats.json").write_text(json.dumps(stats))
     video = folder / f"videos/{VIEW}/chunk-000/file-000.mp4"
-    save_video(video, flat_frames(info["total_frames"]), fps)
+    save_video(video, frames, fps)
     return video

@@ -27,7 +27,6 @@ def sound(tmp_path_factory):
     """A small dataset of both splits, with its manifest."""
     folder = tmp_path_factory.mktemp("sound") / "set"
     generate(folder, CONFIG, Request(160, 80, seed=7, episodes_per_batch=8))
-    write_manifest(folder)
     return folder
 
 

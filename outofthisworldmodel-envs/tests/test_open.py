@@ -1,6 +1,7 @@
 """Datasets of ours and of others, episode by episode and as windows, with frames decoded where they are looked at."""
 
 import pickle
+import re
 import shutil
 import subprocess
 import sys
@@ -125,6 +126,7 @@ def test_an_episode_is_read_alone_and_equals_that_of_all(ours):
 
 def test_the_camera_of_a_flight_is_a_part_of_its_observation(ours, tmp_path):
     folder = shutil.copytree(ours, tmp_path / "set")
+    (folder / "manifest.json").unlink()
     video = add_video(folder / "train")
     dataset = datasets.open(folder, "train")
     before = dataset.lengths[0]
@@ -135,6 +137,10 @@ def test_the_camera_of_a_flight_is_a_part_of_its_observation(ours, tmp_path):
     assert dataset.windows(2, 1)[3]["observation.images.fpv"].shape == (3, HEIGHT, WIDTH, 3)
     report = verify(folder)
     assert [f.told for f in report.findings if f.check == "frames"] == [f"{dataset.lengths.sum()} decoded, one a row"]
+    save_video(video, 255 - flat_frames(int(dataset.lengths.sum())), 20)
+    (found,) = [finding for finding in verify(folder).wrong if finding.check == "frames"]
+    assert re.search("mean of observation.images.fpv is .* its frames give", found.told)
+    save_video(video, flat_frames(int(dataset.lengths.sum())), 20)
     whole = video.read_bytes()
     video.write_bytes(whole[: len(whole) // 2])
     (found,) = [finding for finding in verify(folder).wrong if finding.check == "frames"]

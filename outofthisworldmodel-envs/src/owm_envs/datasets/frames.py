@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from owm_envs.datasets.cache import Cache
+from owm_envs.video import require_av
 
 
 class Clip(NamedTuple):
@@ -116,16 +117,3 @@ def decode(path: Path, fps: float, first: int, last: int) -> Iterator[tuple[int,
         raise FileNotFoundError(f"{path} is missing") from None
     except (av.FFmpegError, IndexError, TypeError, MemoryError) as error:
         raise ValueError(f"{path} cannot be decoded: {' '.join(str(error).split())}") from None
-
-
-def require_av() -> Any:
-    """PyAV.
-
-    Raises:
-        ImportError: it is not installed, with what to do.
-    """
-    try:
-        import av
-    except ImportError as error:
-        raise ImportError(f"videos need PyAV ({error}): pip install 'outofthisworldmodel-envs[video]'") from error
-    return av

@@ -117,7 +117,8 @@ def pooled(parts: Sequence[Statistics]) -> Statistics:
             raise ValueError(f"the episodes' statistics of {name} must each have min, max, mean, std, count") from None
         share = (count / count.sum(axis=0)).reshape(len(parts), *[1] * (mean.ndim - 1))
         together = np.sum(share * mean, axis=0)
-        spread = np.sqrt(np.sum(share * (std**2 + (mean - together) ** 2), axis=0))
+        with np.errstate(over="ignore"):
+            spread = np.sqrt(np.sum(share * (std**2 + (mean - together) ** 2), axis=0))
         found[name] = {"min": low.min(0), "max": high.max(0), "mean": together, "std": spread, "count": count.sum(0)}
     return found
 
