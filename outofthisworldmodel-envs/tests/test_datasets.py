@@ -144,6 +144,35 @@ def test_quantiles_are_exact_however_the_rows_are_cut(counts, most):
     np.testing.assert_array_equal(found["q50"], np.quantile(singles.astype(np.float64), 0.5, axis=0))
 
 
+_MEMORY = """
+import resource, sys, tempfile
+from pathlib import Path
+import numpy as np
+from owm_envs.datasets import writer
+from owm_envs.datasets.pieces import Pieces
+sys.path.insert(0, sys.argv[1])
+from test_datasets import made_up
+writer.DATA_MB = 2
+rng = np.random.default_rng(0)
+with tempfile.TemporaryDirectory() as folder:
+    pieces = Pieces(Path(folder, "pieces"))
+    for count in (100, 300):
+        for number in range(count):
+            if number not in pieces:
+                pieces.put(number, made_up(rng, 3000), 20.0)
+        writer.write_split(Path(folder, f"set-{count}"), pieces, range(count), 20.0, {})
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="tells no peak of memory")
+def test_memory_does_not_grow_with_the_corpus():
+    """Of three times as many episodes, 180 MB of numbers more, no more is held."""
+    command = [sys.executable, "-c", _MEMORY, str(Path(__file__).parent)]
+    few, many = map(int, subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
+    assert many - few < 30
+
+
 def test_statistics_of_pixels_are_those_of_all_of_them():
     rng = np.random.default_rng(4)
     frames = rng.integers(0, 200, (6, 5, 7, 3), dtype=np.uint8)

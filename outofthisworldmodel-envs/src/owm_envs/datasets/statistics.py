@@ -84,7 +84,7 @@ def _union(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str
 
 
 def exact_quantiles(
-    rows: Callable[[], Iterable[Shaped[np.ndarray, "N W"]]], most: int = 2**22
+    rows: Callable[[], Iterable[Shaped[np.ndarray, "N W"]]], most: int = 2**20
 ) -> dict[str, Float[np.ndarray, "W"]]:
     """Quantiles of all rows together, by linear interpolation as NumPy's.
 

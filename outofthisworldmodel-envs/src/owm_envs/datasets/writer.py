@@ -155,10 +155,11 @@ def _files(pieces: Pieces, numbers: Iterable[int]) -> Iterator[list[int]]:
 
 def _exact_quantiles(folder: Path, statistics: Statistics) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
     """The quantiles of a split's columns, found among its rows."""
-    files = [pq.ParquetFile(file) for file in sorted((folder / "data").glob("chunk-*/file-*.parquet"))]
+    paths = sorted((folder / "data").glob("chunk-*/file-*.parquet"))
 
     def rows(name: str) -> Iterator[np.ndarray]:
-        for file in files:
+        for path in paths:
+            file = pq.ParquetFile(path)
             for group in range(file.num_row_groups):
                 yield counted_rows(name, from_arrow(file.read_row_group(group, columns=[name])[name]))
 
