@@ -86,3 +86,18 @@ def optimised():
     return _jit(
         xla_backend_optimization_level=3, xla_llvm_disable_expensive_passes=False, xla_cpu_use_fusion_emitters=True
     )
+
+
+@pytest.fixture(scope="session")
+def quick_fields(optimised):
+    """Fields of the station are solved by optimised code, whatever the tests' flags: five times as fast."""
+    from owm_envs.field import eikonal, geodesic
+
+    statics = {"grid_clearance": ("grid",), "solve_fine": ("grid", "config"), "_least_sum": ()}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, static in statics.items():
+            made = optimised(getattr(eikonal, name).__wrapped__, static_argnames=static)
+            for module in (eikonal, geodesic):
+                if hasattr(module, name):
+                    patch.setattr(module, name, made)
+        yield

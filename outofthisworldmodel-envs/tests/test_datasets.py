@@ -156,10 +156,10 @@ writer.DATA_MB = 2
 rng = np.random.default_rng(0)
 with tempfile.TemporaryDirectory() as folder:
     pieces = Pieces(Path(folder, "pieces"))
-    for count in (100, 300):
+    for count in (80, 240):
         for number in range(count):
             if number not in pieces:
-                pieces.put(number, made_up(rng, 3000), 20.0)
+                pieces.put(number, made_up(rng, 2000), 20.0)
         writer.write_split(Path(folder, f"set-{count}"), pieces, range(count), 20.0, {})
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 """
@@ -167,7 +167,7 @@ with tempfile.TemporaryDirectory() as folder:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="tells no peak of memory")
 def test_memory_does_not_grow_with_the_corpus():
-    """Of three times as many episodes, 180 MB of numbers more, no more is held."""
+    """Of three times as many episodes, 100 MB of numbers more, no more is held."""
     command = [sys.executable, "-c", _MEMORY, str(Path(__file__).parent)]
     few, many = map(int, subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
     assert many - few < 30

@@ -32,7 +32,7 @@ def cache(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def station_field(cache):
+def station_field(cache, quick_fields):
     """The real field of two ports, solved once and kept in a directory of its own."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OWM_ENVS_CACHE", str(cache))
@@ -178,7 +178,7 @@ def test_eight_ports_fit_in_memory(station_field):
     assert nodes.nbytes * len(PORTS) / nodes.shape[0] + sum(leaf.nbytes for leaf in rest) < 155e6
 
 
-def test_all_eight_ports_at_a_coarse_spacing():
+def test_all_eight_ports_at_a_coarse_spacing(quick_fields):
     """The geometry of every port is reachable; the standard spacing is flown for two of them above."""
     normals = np.array([port.normal for port in PORTS])
     field = solve_field(hull_boxes(), goal_poses()[:, :3], normals, config=COARSE)

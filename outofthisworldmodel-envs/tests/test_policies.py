@@ -26,7 +26,7 @@ def env():
 
 
 @pytest.fixture(scope="module")
-def policies(env):
+def policies(env, quick_fields):
     from owm_envs.field import solve_field
     from owm_envs.field.eikonal import FieldConfig
 

@@ -108,7 +108,7 @@ def test_wrong_maps_are_wrong_by_what_they_say():
     assert 30 < len(gone) < 60 and min(b[0] for b in gone) > 25 and min(b[5] for b in gone) > 6
 
 
-def test_a_coast_called_clear_is_clear_of_the_boxes():
+def test_a_coast_called_clear_is_clear_of_the_boxes(quick_fields):
     rng = np.random.default_rng(0)
     place = rng.normal(size=(400, 3))
     place *= rng.uniform(20, 60, (400, 1)) / np.linalg.norm(place, axis=1, keepdims=True)
