@@ -1,6 +1,7 @@
 """Recording with frames: what is in the video, and what a kill, a share or a second writer does to it."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -132,6 +133,17 @@ def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(whole, tmp_path
     (tmp_path / "set.partial/pieces/train/000001.pixels.mp4").write_bytes(b"half a film")
     generate(out, CONFIG, REQUEST)
     assert_same_bytes(whole, out)
+
+
+@pytest.mark.parametrize("there", ["pieces", "manifest"])
+def test_a_run_killed_while_it_cleared_away_is_finished(whole, tmp_path, there):
+    partial = tmp_path / "set.partial"
+    shutil.copytree(whole, partial)
+    if there == "pieces":
+        (partial / "manifest.json").unlink()
+        (partial / "pieces/train").mkdir(parents=True)
+    generate(tmp_path / "set", CONFIG, REQUEST)
+    assert_same_bytes(whole, tmp_path / "set")
 
 
 def test_a_second_writer_is_refused(tmp_path):

@@ -131,10 +131,8 @@ def generate(
         return result
     check_free(out, moved)
     claim = Claim(partial, settings, MARKER)
-    if result := (claim.found or {}).get("result"):  # all that was left to do
-        if shard is None and not moved:
-            write_manifest(partial)
-        publish(partial, out)
+    if result := (claim.found or {}).get("result"):
+        _finish(partial, out, shard)
         return result
     plan = splits(request, config)  # refuses what cannot be before anything is written
     parts = _parts(config, sensors)
@@ -157,13 +155,9 @@ def generate(
             texts = {"config.toml": config.to_toml(), "README.md": _card(config, request, summary, parts, settings)}
             for name, text in texts.items():
                 write_atomically(partial / name, lambda file, text=text: file.write(text), text=True)
-            remove(partial / PIECES)
         else:
             summary = {name: {"episodes": len(own)} for name, own in numbers.items()}
-        remove(partial / _SPILL)
         claim.note(policies=list(POLICY_NAMES), versions=versions(), result=summary)
-        if shard is None:
-            write_manifest(partial)
     except Timeout:
         raise FolderTaken(
             f"another process is recording into {partial}: wait for it, or choose another folder"
@@ -176,9 +170,18 @@ def generate(
         raise
     finally:
         lock.release()
-    (partial / _LOCK).unlink(missing_ok=True)
-    publish(partial, out)
+    _finish(partial, out, shard)
     return summary
+
+
+def _finish(partial: Path, out: Path, shard: Shard | None) -> None:
+    """Clear away what only the recording needed, and publish; killed, it is done again."""
+    if not published(partial):
+        for name in (_SPILL, _LOCK, *([PIECES] if shard is None else [])):
+            remove(partial / name)
+        if shard is None:
+            write_manifest(partial)
+    publish(partial, out)
 
 
 def settings_of(
