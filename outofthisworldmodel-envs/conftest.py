@@ -21,7 +21,8 @@ def swoop():
         t = np.arange(steps + 1) * 0.25
         left = 1 - np.arange(steps + 1) / steps
         goal = goal_poses()[port]
-        position = goal[:3] + 80 * left[:, None] ** 2 * np.stack([np.cos(t / 9), 0.4 + 0 * t, np.sin(t / 9)], axis=1)
+        far = 80 * min(1, steps / 24)  # no farther than a vehicle comes in that time
+        position = goal[:3] + far * left[:, None] ** 2 * np.stack([np.cos(t / 9), 0.4 + 0 * t, np.sin(t / 9)], axis=1)
         half = 0.5 * left
         turn = np.stack([np.cos(half), 0 * t, 0 * t, np.sin(half)], axis=1)
         w, x, y, z = goal[3:]
@@ -42,7 +43,7 @@ def swoop():
             action=action,
             reward=np.zeros(steps, np.float32),
             done=last,
-            success=last,
+            success=last & (changes.get("outcome", 1) == 1),
             port=port,
             goal_pose=goal,
             policy=2,

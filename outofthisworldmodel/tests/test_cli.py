@@ -164,7 +164,7 @@ def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd)
     assert "dock to unity_nadir" in told.out and "compiling" in told.err
 
     # The same again finds the flight there; another one is refused, and neither flies.
-    before = {file: file.read_bytes() for file in out.iterdir()}
+    before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
     again = ["fly", "--policy", "dock", "--port", "unity_nadir", "--env", "iss", "--out", str(out)]
     cli.main(again)
     told = capfd.readouterr()
@@ -174,7 +174,7 @@ def test_fly_draws_the_flight_of_a_scripted_policy(tmp_path, monkeypatch, capfd)
     (line,) = capfd.readouterr().err.strip().splitlines()
     said = f"error: {out} holds another run, which differs in seed: choose another folder (--out), or remove it"
     assert ended.value.code == 2 and line == said
-    assert {file: file.read_bytes() for file in out.iterdir()} == before
+    assert {file: file.read_bytes() for file in out.rglob("*") if file.is_file()} == before
 
 
 def test_a_report_of_other_policies_is_not_replaced(tmp_path, monkeypatch, capfd):
