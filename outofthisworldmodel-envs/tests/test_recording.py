@@ -156,6 +156,34 @@ def test_a_second_writer_is_refused(tmp_path):
         generate(tmp_path / "set", CONFIG, REQUEST)
 
 
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 8 MB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(place)]
+    if not shutil.which("mount") or subprocess.run(command, capture_output=True).returncode:
+        pytest.skip("needs the right to mount a file system")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)  # films that were broken off may still be open
+
+
+@pytest.mark.parametrize("left", [0, 8192, 65536])
+def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(whole, small_disk, left):
+    """Whichever file is the one that does not fit."""
+    filler = small_disk / "filler"
+
+    def fill(progress):
+        if not filler.exists():
+            filler.write_bytes(bytes(shutil.disk_usage(small_disk).free - left))
+
+    with pytest.raises(OSError, match="the disk is full; free some space and run the same again"):
+        generate(small_disk / "set", CONFIG, REQUEST, progress=fill)
+    filler.unlink()
+    generate(small_disk / "set", CONFIG, REQUEST)
+    assert_same_bytes(whole, small_disk / "set")
+
+
 @pytest.mark.parametrize("side", [16, 15])
 def test_joined_videos_hold_the_frames_of_their_parts(tmp_path, side):
     rng = np.random.default_rng(0)
