@@ -7,6 +7,7 @@ import re
 import sys
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -63,7 +64,8 @@ def test_what_the_page_holds_is_what_was_flown(text, flight):
 
 def test_curves_are_the_errors_to_the_goal(flight):
     columns, episode = flight.columns, flight.episode
-    angle = jax.vmap(quat_angle, (0, None))(episode.true_state[:, 6:10], episode.goal_pose[3:])
+    attitudes, goal = jnp.asarray(episode.true_state[:, 6:10]), jnp.asarray(episode.goal_pose[3:])
+    angle = jax.vmap(quat_angle, (0, None))(attitudes, goal)
     assert np.allclose(columns["attitude"], np.degrees(angle), atol=1e-3)
     assert columns["distance"][-1] == 0 and columns["distance"][0] == pytest.approx(80 * np.hypot(1, 0.4))
     assert np.allclose(columns["rate"], np.degrees(1 / 6.0))
