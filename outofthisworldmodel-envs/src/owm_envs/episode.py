@@ -19,7 +19,8 @@ class Episode:
 
     observation: dict[str, Shaped[np.ndarray, "T+1 ..."]]
     """What the policy saw, by parts: "state" is the float32 measured relative view (T+1, 13), whatever the
-    observation's layout was; the others are as their sensors gave them."""
+    observation's layout was; the others are as their sensors gave them. Of a file a video's frames are a
+    `owm_envs.datasets.frames.Frames`, which decodes them when they are looked at."""
     true_state: Float[np.ndarray, "T+1 13"]
     """float64 true relative view."""
     epoch: Float[np.ndarray, "T+1 2"]

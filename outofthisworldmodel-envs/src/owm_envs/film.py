@@ -15,7 +15,7 @@ from owm_envs.camera.sky import load_sky
 from owm_envs.camera.views import camera
 from owm_envs.config import DockingConfig
 from owm_envs.config.params import params_from_config
-from owm_envs.datasets.reader import dataset_folder, read, read_config
+from owm_envs.datasets.reader import open_dataset, read_config
 from owm_envs.dynamics.chief import kepler_orbit
 from owm_envs.dynamics.state import PhysicalState
 from owm_envs.episode import Episode
@@ -133,9 +133,9 @@ def film_run(
         raise ValueError(f"fps and speed must be above 0, got {fps} and {speed}")
     if not sheet:
         require_av()
-    folder, out = dataset_folder(run, split), Path(out)
+    flights, out = open_dataset(run, split), Path(out)
+    folder = flights.folder
     lens_of = [camera(name, height=size, width=size, port=port) for port in PORT_NAMES]
-    flights = read(folder)
     chosen = list(episodes) or [0]
     for number in chosen:
         if not 0 <= number < len(flights):
