@@ -99,7 +99,7 @@ def test_windows_and_batches_come_out_as_lerobot_trains_on_them(split, folder):
     windows = LeRobotDataset(
         theirs.repo_id,
         root=theirs.root,
-        delta_timestamps={"observation.state": [-0.05, 0.0], "action": [0.0, 0.05]},
+        delta_timestamps={"observation.state": [-1 / theirs.fps, 0.0], "action": [0.0, 1 / theirs.fps]},
         video_backend="pyav",
     )
     loader = torch.utils.data.DataLoader(windows, batch_size=4, shuffle=False)
@@ -145,8 +145,8 @@ def test_lerobot_doctor_finds_nothing_wrong(split):
 
 OF_ARMS = {"DEAD_JOINT", "SATURATED_JOINT", "ACTION_STATE_DIVERGENCE_CRASHED", "ACTION_RANGE_MISMATCH_CRASHED"}
 """What lerobot-lint says of anything but an arm: it takes each number of the state for a joint that has an action."""
-OF_SIZE = {"UNITS_INFERRED", "TOO_FEW_EPISODES", "TASK_IMBALANCE"}
-"""What it remarks on small datasets."""
+OF_SIZE = {"UNITS_INFERRED", "TOO_FEW_EPISODES", "TASK_IMBALANCE", "DURATION_OUTLIER"}
+"""What it remarks on small datasets, and on flights that end early."""
 
 
 def test_lerobot_lint_finds_nothing_wrong_but_that_a_chaser_is_no_arm(split, tmp_path):
