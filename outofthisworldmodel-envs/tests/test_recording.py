@@ -15,9 +15,10 @@ from filelock import FileLock
 
 from owm_envs.claims import Claim
 from owm_envs.config import load_config
-from owm_envs.datasets.generate import MARKER, Shard, generate, settings_of
+from owm_envs.datasets.generate import Shard, generate, settings_of
 from owm_envs.datasets.merge import merge
 from owm_envs.datasets.recipe import Request, flights, splits
+from owm_envs.datasets.runs import GENERATION
 from owm_envs.env import DockingEnv
 from owm_envs.files import FolderTaken
 from owm_envs.policies import make_policy
@@ -148,7 +149,7 @@ def test_a_run_killed_while_it_cleared_away_is_finished(whole, tmp_path, there):
 
 def test_a_second_writer_is_refused(tmp_path):
     partial = tmp_path / "set.partial"
-    Claim(partial, settings_of(CONFIG, REQUEST), MARKER).note()
+    Claim(partial, settings_of(CONFIG, REQUEST), GENERATION).note()
     with (
         FileLock(partial / ".lock"),
         pytest.raises(FolderTaken, match=r"is recording into .*set\.partial"),

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from owm_envs.files import write_atomically
+
 CODEC, QUALITY, KEY_FRAMES = "h264", 12, 10
 """As files name it; the constant rate factor of x264, lower is better; frames from one key frame to the next."""
 _OPTIONS = {"preset": "veryfast", "bf": "0", "threads": "1", "sc_threshold": "0", "mbtree": "0", "rc-lookahead": "0"}
@@ -104,8 +106,6 @@ def save_film(path: str | os.PathLike, images: Iterable[UInt8[np.ndarray, "H W 3
         ImportError: PyAV is not installed.
         ValueError: the name does not end in .mp4.
     """
-    from owm_envs.files import write_atomically
-
     path = mp4(path)
     require_av()
 

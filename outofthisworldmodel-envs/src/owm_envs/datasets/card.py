@@ -103,7 +103,7 @@ def dataset_card(
         "",
         "`meta/stats.json` holds the statistics of the **train** split in both splits, so that val is normalised "
         "without having been looked at; each episode's own statistics stand in `meta/episodes`. Padding of the "
-        "terminal rows is left out; all are exact, those of pixels too.",
+        "terminal rows is left out. Quantiles are exact, but for columns of more than 64 numbers.",
         "",
         '`config.toml` is the environment as run (`gymnasium.make(..., config="config.toml")` takes it), '
         f"`generation.json` the request (seed {asked['seed']}).",

@@ -7,10 +7,11 @@ from pathlib import Path
 
 from owm_envs import hub
 from owm_envs.datasets.manifest import MANIFEST, Entry, check_manifest, load_manifest, manifest_text
+from owm_envs.datasets.recipe import SPLITS
+from owm_envs.datasets.runs import GENERATION
 from owm_envs.hub import SOURCE, Fetched
 
-SPLITS = ("train", "val")
-RUN_FILES = ("generation.json", "config.toml")
+RUN_FILES = (GENERATION, "config.toml")
 """What tells of the run as a whole, in the folder of the splits; a split's own repository has copies."""
 
 

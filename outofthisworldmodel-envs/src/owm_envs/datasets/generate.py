@@ -23,6 +23,7 @@ from owm_envs.datasets.card import dataset_card
 from owm_envs.datasets.manifest import write_manifest
 from owm_envs.datasets.pieces import Film, Pieces
 from owm_envs.datasets.recipe import SPLITS, Flight, Request, Split, batch_size, flights, splits
+from owm_envs.datasets.runs import GENERATION
 from owm_envs.datasets.schema import features_of, part_of
 from owm_envs.datasets.versions import versions
 from owm_envs.datasets.writer import Written, write_meta, write_split
@@ -51,7 +52,7 @@ BYTES_PER_TRANSITION = 600
 """Upper estimate of a transition on disk without pixels while it is a piece and in its dataset, measured."""
 _CHUNK_BYTES = 2**26
 """Of pixels and the like that a chunk of a rollout may hold; three of them are in memory at a time."""
-MARKER, PIECES, _SPILL, _LOCK = "generation.json", "pieces", "spill", ".lock"
+PIECES, _SPILL, _LOCK = "pieces", "spill", ".lock"
 
 
 class Shard(NamedTuple):
@@ -123,14 +124,14 @@ def generate(
     partial = out.with_name(out.name + ".partial")
     settings = settings_of(config, request, sensors, shard)
     moved = published(partial)
-    done = Claim(out, settings, MARKER, besides=moved)
+    done = Claim(out, settings, GENERATION, besides=moved)
     if result := (done.found or {}).get("result"):
         if partial.is_dir() and not strangers(partial, [JOURNAL]):
             remove(partial)  # the last that was left to do when the run was killed
         announce(f"{out} is complete already")
         return result
     check_free(out, moved)
-    claim = Claim(partial, settings, MARKER)
+    claim = Claim(partial, settings, GENERATION)
     if result := (claim.found or {}).get("result"):
         _finish(partial, out, shard)
         return result

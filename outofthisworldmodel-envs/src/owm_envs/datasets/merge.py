@@ -6,9 +6,10 @@ from pathlib import Path
 
 from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig, load_config
-from owm_envs.datasets.generate import MARKER, PIECES, Progress, Shard, generate, settings_of
+from owm_envs.datasets.generate import PIECES, Progress, Shard, generate, settings_of
 from owm_envs.datasets.pieces import Pieces
 from owm_envs.datasets.recipe import SPLITS, Request
+from owm_envs.datasets.runs import GENERATION
 from owm_envs.files import output_folder
 
 
@@ -55,8 +56,8 @@ def merge(
     request, config = Request(**first["request"]), load_config(DockingConfig.model_validate(first["environment"]))
     out = output_folder(out)
     partial = out.with_name(out.name + ".partial")
-    if not Claim(out, settings_of(config, request), MARKER).found:
-        claim = Claim(partial, settings_of(config, request), MARKER)
+    if not Claim(out, settings_of(config, request), GENERATION).found:
+        claim = Claim(partial, settings_of(config, request), GENERATION)
         if not (claim.found or {}).get("result"):
             claim.note()
             for split in SPLITS:
@@ -67,7 +68,7 @@ def merge(
 
 def _told(folder: Path) -> dict:
     """The `generation.json` of a finished share."""
-    path = folder / MARKER
+    path = folder / GENERATION
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(told["request"], dict) or not isinstance(told["environment"], dict):
@@ -75,7 +76,7 @@ def _told(folder: Path) -> dict:
     except FileNotFoundError:
         partial = folder.with_name(folder.name + ".partial")
         hint = f"; {partial} holds an unfinished one: run its command again" if partial.is_dir() else ""
-        raise ValueError(f"{folder} is no share of a dataset: it has no {MARKER}{hint}") from None
+        raise ValueError(f"{folder} is no share of a dataset: it has no {GENERATION}{hint}") from None
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is damaged: {error}") from None
     if "shard" not in told or "result" not in told:

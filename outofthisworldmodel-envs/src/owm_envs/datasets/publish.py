@@ -14,6 +14,7 @@ from owm_envs.config import load_config
 from owm_envs.datasets.card import dataset_card
 from owm_envs.datasets.fetch import RUN_FILES
 from owm_envs.datasets.manifest import MANIFEST, Entry, check_manifest, load_manifest, manifest_text
+from owm_envs.datasets.runs import GENERATION
 from owm_envs.datasets.schema import CODEBASE_VERSION, OBSERVATION, part_columns
 from owm_envs.hub import Repository
 from owm_envs.words import plain
@@ -75,12 +76,12 @@ def _finished(folder: Path) -> dict[str, Any]:
     if folder.name.endswith(".partial") or partial.is_dir():
         raise ValueError(f"{folder} is not finished: {again}")
     try:
-        told = json.loads((folder / "generation.json").read_text(encoding="utf-8"))
+        told = json.loads((folder / GENERATION).read_text(encoding="utf-8"))
         finished = isinstance(told["result"], dict)
     except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError):
         finished = False
     if not finished:
-        raise ValueError(f"{folder} is no finished run, for its generation.json tells of no result: {again}")
+        raise ValueError(f"{folder} is no finished run, for its {GENERATION} tells of no result: {again}")
     try:
         check_manifest(folder)
     except (FileNotFoundError, ValueError) as error:
