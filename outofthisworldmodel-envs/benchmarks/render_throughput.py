@@ -2,7 +2,7 @@
 
     pip install embreex
     python benchmarks/render_throughput.py                     # the table
-    python benchmarks/render_throughput.py --soak 2000         # memory over so many frames of 512x512
+    python benchmarks/render_throughput.py --soak 100000       # memory over so many frames of 512x512
     python benchmarks/render_throughput.py --rollout 64        # share of a rollout's time with pixels at 4 Hz
 
 The chaser is 50 m from the station's nearest part and looks at the station, from all sides. Ours shades, with shadows,
@@ -22,11 +22,13 @@ import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 from owm_envs.camera.lens import grid, placed, rays
@@ -71,12 +73,26 @@ def best_of(call: Callable[[], object], seconds: float) -> float:
     return min(times)
 
 
-def ours(scene: Scene, side: int, batch: int) -> Callable[[], object]:
-    """A batch of frames."""
+def tumbling(count: int, rng: np.random.Generator) -> View:
+    """Chasers 30 to 300 m from the station's middle that look anywhere."""
+    ways, turns = rng.normal(size=(count, 3)), rng.normal(size=(count, 4))
+    positions = rng.uniform(30.0, 300.0, (count, 1)) * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    still = np.zeros((count, 3))
+    parts = positions, still, turns / np.linalg.norm(turns, axis=1, keepdims=True), still
+    return View(*(jnp.asarray(part, jnp.float32) for part in parts))
+
+
+def drawing(scene: Scene, side: int) -> Callable[[View], object]:
+    """A program that draws a batch of frames."""
     eye = camera("chaser_fpv", height=side, width=side)
     picture = jax.jit(jax.vmap(lambda view, scene: render(scene, view, eye)["rgb"], (0, None)))
-    some = views(batch)
-    return lambda: jax.block_until_ready(picture(some, scene))
+    return lambda some: jax.block_until_ready(picture(some, scene))
+
+
+def ours(scene: Scene, side: int, batch: int) -> Callable[[], object]:
+    """A batch of frames."""
+    draw, some = drawing(scene, side), views(batch)
+    return lambda: draw(some)
 
 
 def brute_force(scene: Scene, side: int) -> Callable[[], object]:
@@ -193,25 +209,24 @@ def rollout_share(slots: int, console: Console) -> dict[str, float]:
 
 
 def soak(frames: int, side: int, batch: int, scene: Scene, console: Console) -> dict[str, float]:
-    """Memory at the peak after the first frames and after all."""
-    draw = ours(scene, side, batch)
+    """Memory after the first frames and after all, each frame another one of tumbling chasers."""
+    draw, rng, page = drawing(scene, side), np.random.default_rng(0), resource.getpagesize() / 2**20
+    now = lambda: int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * page
+
     for _ in range(20):
-        draw()
-    first = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        draw(tumbling(batch, rng))
+    first = most = now()
     start = time.perf_counter()
     calls = -(-frames // batch)
-    for number in range(1, calls + 1):
-        draw()
+    for number in track(range(1, calls + 1), "drawing", console=console):
+        draw(tumbling(batch, rng))
+        if number % max(calls // 100, 1) == 0:
+            most = max(most, now())
         if number % max(calls // 5, 1) == 0 or number == calls:
-            now = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            told = f"{number * batch:7d} frames of {side}x{side}: {now:7.0f} MiB at the peak"
-            console.print(f"{told}, {first:.0f} after the first {20 * batch}")
-    return {
-        "frames": frames,
-        "first_mib": first,
-        "last_mib": now,
-        "frames_per_s": frames / (time.perf_counter() - start),
-    }
+            drawn = f"{number * batch:7d} frames of {side}x{side}"
+            console.print(f"{drawn}: {now():6.0f} MiB, {most:.0f} at most; {first:.0f} after the first {20 * batch}")
+    seconds = time.perf_counter() - start
+    return {"frames": frames, "first_mib": first, "most_mib": most, "last_mib": now(), "frames_per_s": frames / seconds}
 
 
 def main() -> None:
@@ -221,7 +236,9 @@ def main() -> None:
     parser.add_argument("--batches", type=int, nargs="+", default=[64, 16, 1], help="one for each side")
     parser.add_argument("--parts", type=int, nargs="+", default=[], help="also with so many of the parts, 64x64")
     parser.add_argument("--seconds", type=float, default=4.0, help="a measurement")
-    parser.add_argument("--soak", type=int, default=0, metavar="FRAMES", help="of the last size and batch, for memory")
+    parser.add_argument(
+        "--soak", type=int, default=0, metavar="FRAMES", help="of the last size and batch, black sky, for memory"
+    )
     parser.add_argument("--rollout", type=int, default=0, metavar="SLOTS")
     parser.add_argument("--skip", nargs="*", default=[], choices=["brute", "embree"])
     options = parser.parse_args()
@@ -229,7 +246,7 @@ def main() -> None:
     full, black = default_scene(sky=load_sky()), default_scene()
     figures: dict[str, object] = {"device": jax.devices()[0].device_kind, "cores": cores}
     if options.soak:
-        figures["soak"] = soak(options.soak, options.sides[-1], options.batches[-1], full, console)
+        figures["soak"] = soak(options.soak, options.sides[-1], options.batches[-1], black, console)
     if options.rollout:
         figures["rollout"] = rollout_share(options.rollout, console)
     if not (options.soak or options.rollout):
