@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tracemalloc
 
 import av
 import jax
@@ -109,6 +110,19 @@ def test_shares_make_the_same_bytes_as_one_run(whole, tmp_path):
     with pytest.raises(ValueError, match="is a share of another run"):
         merge(shares, tmp_path / "other")
     assert not (tmp_path / "other.partial").exists()
+
+
+def test_memory_does_not_grow_with_the_recording(whole, tmp_path):
+    def peak(episodes):
+        request = Request(None, None, episodes=episodes, val_episodes=2, episodes_per_batch=8)
+        tracemalloc.start()
+        generate(tmp_path / f"{episodes}", CONFIG, request)
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return most
+
+    few, many = peak(8), peak(40)
+    assert many < few + 32 * 8_000, "of an episode no more than its statistics may be held"
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "2", "a/b", "1/2/3", "-1/2"])

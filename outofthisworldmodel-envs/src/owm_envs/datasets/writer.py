@@ -36,6 +36,8 @@ VIDEO_PATH = f"videos/{{video_key}}/{_FILE}.mp4"
 EPISODES_PATH = f"meta/episodes/{_FILE}.parquet"
 DATA_MB, VIDEO_MB = 100, 200
 """Most that the episodes of a file hold [MB], unless a single one has more."""
+_AT_ONCE = 16
+"""Episodes whose rows of their table are Python's objects at a time: as such they take ten times the room."""
 TASKS = [f"Dock at {name.replace('_', ' ')}." for name in PORT_NAMES]
 """A task's index is its port's."""
 
@@ -87,7 +89,7 @@ def write_split(
             films = [pieces.film(number, part) for number in group]
             path = folder / VIDEO_PATH.format(video_key=key, **place)
             write_atomically(path, lambda out, films=films: join_videos(films, out, fps))
-        write_parquet([pa.Table.from_pylist(split.rows)], folder / EPISODES_PATH.format(**place))
+        write_parquet([split.about()], folder / EPISODES_PATH.format(**place))
     statistics = split.statistics
     statistics |= {name: statistics[name] | quantiles for name, quantiles in _exact_quantiles(folder, statistics)}
     statistics |= {key: pixel_statistics(counts, split.frames) for key, counts in split.histograms.items()}
@@ -95,7 +97,7 @@ def write_split(
 
 
 class _Split:
-    """How far a split is, and the rows of the file that is being written."""
+    """How far a split is, and what the table of episodes says of those in the file that is being written."""
 
     def __init__(self, fps: float, videos: dict[str, str]):
         self.fps, self.videos = fps, videos
@@ -105,7 +107,9 @@ class _Split:
 
     def begin(self, place: Mapping[str, int]) -> None:
         """Go on with another file."""
-        self.place, self.rows, self.shown = place, [], 0
+        self.place, self.shown = place, 0
+        self._rows: list[dict[str, Any]] = []
+        self._tables: list[pa.Table] = []
 
     def table(self, piece: Piece) -> pa.Table:
         """Append an episode; give its rows of data."""
@@ -120,9 +124,21 @@ class _Split:
             counts = piece.histograms[part]
             self.histograms[key] = self.histograms.get(key, 0) + counts
             statistics[key] = pixel_statistics(counts, length)
-        self.rows.append(self._row(piece, length, statistics))
+        self._rows.append(self._row(piece, length, statistics))
+        if len(self._rows) == _AT_ONCE:
+            self._put_rows()
         self.episodes, self.frames, self.shown = self.episodes + 1, self.frames + length, self.shown + length
         return pa.table({name: arrow(values) for name, values in columns.items()})
+
+    def about(self) -> pa.Table:
+        """The table of the file's episodes."""
+        self._put_rows()
+        return pa.concat_tables(self._tables).combine_chunks()
+
+    def _put_rows(self) -> None:
+        if self._rows:
+            self._tables.append(pa.Table.from_pylist(self._rows))
+        self._rows = []
 
     def _row(self, piece: Piece, length: int, statistics: Statistics) -> dict[str, Any]:
         """What the table of episodes says of one."""
