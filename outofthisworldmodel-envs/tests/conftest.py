@@ -1,10 +1,18 @@
 import functools
+import sys
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
+# Tests are imported by path, not from a package, so what they share has to be made findable.
+sys.path.insert(0, str(Path(__file__).parent))
+
+import seeing
+
 from owm_envs.config import FIDELITIES
+from owm_envs.datasets.generate import generate
 from owm_envs.env import DockingEnv
 
 
@@ -43,3 +51,11 @@ def place():
         return env.relocate(params, state, jax.numpy.asarray(np.asarray(view, np.float64)))
 
     return placed
+
+
+@pytest.fixture(scope="session")
+def seeing_run(tmp_path_factory):
+    """The folder of a small recording with video; not to be written to."""
+    folder = tmp_path_factory.mktemp("seeing") / "set"
+    generate(folder, seeing.CONFIG, seeing.REQUEST)
+    return folder

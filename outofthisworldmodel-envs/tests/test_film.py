@@ -6,22 +6,8 @@ import numpy as np
 import pytest
 
 from owm_envs import cli, datasets
-from owm_envs.config import load_config
-from owm_envs.datasets.generate import Request, generate
 from owm_envs.episode import Episode
 from owm_envs.film import _moments, contact_sheet, save_film
-
-CONFIG = {"fidelity": "iss", "horizon": 0.25, "ports": ["zvezda_aft"], "observation": "pixels"}
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """Two splits of an episode or more each, with pixels every second decision."""
-    folder = tmp_path_factory.mktemp("film") / "set"
-    camera = {"width": 16, "height": 16, "every": 2, "lamp": 20.0}
-    request = Request(transitions=5, val_transitions=5, seed=1, episodes_per_batch=1)
-    generate(folder, load_config(CONFIG, camera=camera), request)
-    return folder
 
 
 def flight(times):
@@ -71,8 +57,8 @@ def test_a_film_reads_back(tmp_path):
         save_film(tmp_path / "film.gif", images, 20.0)
 
 
-def test_pixels_are_recorded_beside_the_state(recorded):
-    for episode in datasets.read(recorded, "train"):
+def test_pixels_are_recorded_beside_the_state(seeing_run):
+    for episode in datasets.read(seeing_run, "train"):
         frames = episode.observation["pixels"]
         assert set(episode.observation) == {"state", "pixels"} and episode.observation["state"].shape[1] == 13
         assert frames.shape == (len(episode) + 1, 16, 16, 3) and frames.dtype == np.uint8
@@ -81,10 +67,10 @@ def test_pixels_are_recorded_beside_the_state(recorded):
         assert moved[::2].max() < 3 and moved[1::2].max() > 0
 
 
-def test_the_command_draws_contact_sheets(recorded, tmp_path, capsys):
+def test_the_command_draws_contact_sheets(seeing_run, tmp_path, capsys):
     import cv2
 
-    cli.main(["render", str(recorded), "--sheet", "--size", "16", "--out", str(tmp_path), "--camera", "station_top"])
+    cli.main(["render", str(seeing_run), "--sheet", "--size", "16", "--out", str(tmp_path), "--camera", "station_top"])
     (file,) = tmp_path.iterdir()
     assert capsys.readouterr().out.split() == [str(file)] and file.name == "val-0000-station_top.png"
     image = cv2.imread(str(file))
@@ -105,10 +91,10 @@ def test_the_command_draws_contact_sheets(recorded, tmp_path, capsys):
         (["RUN"], "error: films need PyAV"),
     ],
 )
-def test_mistakes_end_in_one_line(recorded, options, says, capsys, monkeypatch, tmp_path):
+def test_mistakes_end_in_one_line(seeing_run, options, says, capsys, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "av", None)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit):
-        cli.main(["render", *(str(recorded) if option == "RUN" else option for option in options)])
+        cli.main(["render", *(str(seeing_run) if option == "RUN" else option for option in options)])
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert error.startswith(says), error

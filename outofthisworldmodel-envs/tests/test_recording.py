@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from filelock import FileLock
+from seeing import CONFIG, REQUEST
 
 from owm_envs.claims import Claim
-from owm_envs.config import load_config
 from owm_envs.datasets.generate import Shard, generate, settings_of
 from owm_envs.datasets.merge import merge
 from owm_envs.datasets.recipe import Request, flights, splits
@@ -26,15 +26,6 @@ from owm_envs.policies import make_policy
 from owm_envs.rollout import episodes, rollout
 from owm_envs.video import VideoWriter, join_videos
 
-CONFIG = load_config(
-    fidelity="iss",
-    horizon=1.0,
-    steps_per_action=5,
-    ports=["zvezda_aft", "unity_nadir"],
-    observation="state+pixels",
-    camera={"width": 16, "height": 16, "every": 2, "lamp": 20.0, "sky": False},
-)
-REQUEST = Request(transitions=60, val_transitions=8, seed=5, episodes_per_batch=8)
 VIDEO = "observation.images.fpv"
 
 
@@ -53,23 +44,16 @@ def assert_same_bytes(one, other):
     assert sorted(name for name in one if one[name] != other[name]) == []
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("recording") / "set"
-    generate(folder, CONFIG, REQUEST)
-    return folder
-
-
-def test_a_video_holds_the_frame_of_every_row(whole):
+def test_a_video_holds_the_frame_of_every_row(seeing_run):
     """As the pure environment shows them: a frame at every other decision, held between."""
     env = DockingEnv(CONFIG)
     planned = [next(flights(splits(REQUEST, CONFIG)[name])) for name in ("train", "val")]
     for fold, (name, flight) in enumerate(zip(("train", "val"), planned)):
-        info = json.loads((whole / name / "meta/info.json").read_text())
-        video = decoded(whole / name / info["video_path"].format(video_key=VIDEO, chunk_index=0, file_index=0))
+        info = json.loads((seeing_run / name / "meta/info.json").read_text())
+        video = decoded(seeing_run / name / info["video_path"].format(video_key=VIDEO, chunk_index=0, file_index=0))
         assert len(video) == info["total_frames"] and info["features"][VIDEO]["shape"] == [16, 16, 3]
         assert [float(time) for time, _ in video] == [row / 4 for row in range(len(video))]
-        rows = pq.read_table(whole / name / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+        rows = pq.read_table(seeing_run / name / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
         for row in rows:
             start, end = (row[f"videos/{VIDEO}/{key}"] for key in ("from_timestamp", "to_timestamp"))
             assert (start * 4, end * 4) == (row["dataset_from_index"], row["dataset_to_index"])
@@ -81,26 +65,28 @@ def test_a_video_holds_the_frame_of_every_row(whole):
         np.testing.assert_array_equal(seen[1::2], seen[:-1:2])
 
 
-def test_statistics_of_the_frames_are_those_before_encoding(whole):
-    told = json.loads((whole / "train/meta/stats.json").read_text())[VIDEO]
-    frames = np.stack([image for _, image in decoded(whole / f"train/videos/{VIDEO}/chunk-000/file-000.mp4")]) / 255
+def test_statistics_of_the_frames_are_those_before_encoding(seeing_run):
+    told = json.loads((seeing_run / "train/meta/stats.json").read_text())[VIDEO]
+    frames = (
+        np.stack([image for _, image in decoded(seeing_run / f"train/videos/{VIDEO}/chunk-000/file-000.mp4")]) / 255
+    )
     assert np.shape(told["mean"]) == (3, 1, 1) and told["count"] == [len(frames)]
     np.testing.assert_allclose(np.ravel(told["mean"]), frames.mean(axis=(0, 1, 2)), atol=0.02)
     np.testing.assert_allclose(np.ravel(told["std"]), frames.std(axis=(0, 1, 2)), atol=0.03)
 
 
-def test_shares_make_the_same_bytes_as_one_run(whole, tmp_path):
+def test_shares_make_the_same_bytes_as_one_run(seeing_run, tmp_path):
     shares = [tmp_path / f"share-{index}" for index in range(3)]
     for index, folder in enumerate(shares):
         generate(folder, CONFIG, REQUEST, shard=Shard(index, 3))
     merge(shares[::-1], tmp_path / "set")
-    assert_same_bytes(whole, tmp_path / "set")
+    assert_same_bytes(seeing_run, tmp_path / "set")
     with pytest.raises(ValueError, match="shares are missing: 2/3"):
         merge([shares[0], shares[2]], tmp_path / "other")
     with pytest.raises(ValueError, match="holds 1/3 beside 1/3"):
         merge([shares[0], shares[0]], tmp_path / "other")
     with pytest.raises(ValueError, match="is no finished share: record it with --shard"):
-        merge([whole], tmp_path / "other")
+        merge([seeing_run], tmp_path / "other")
     with pytest.raises(ValueError, match=r"is no share of a dataset: it has no generation\.json"):
         merge([tmp_path], tmp_path / "other")
     other = Request(**{**REQUEST.settings(), "seed": 6})
@@ -112,7 +98,7 @@ def test_shares_make_the_same_bytes_as_one_run(whole, tmp_path):
     assert not (tmp_path / "other.partial").exists()
 
 
-def test_memory_does_not_grow_with_the_recording(whole, tmp_path):
+def test_memory_does_not_grow_with_the_recording(seeing_run, tmp_path):
     def peak(episodes):
         request = Request(None, None, episodes=episodes, val_episodes=2, episodes_per_batch=8)
         tracemalloc.start()
@@ -131,7 +117,7 @@ def test_a_share_that_cannot_be_is_refused(text):
         Shard.parse(text)
 
 
-def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(whole, tmp_path):
+def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(seeing_run, tmp_path):
     """Killed when the first episode is safe and others are not."""
     config, out = tmp_path / "config.toml", tmp_path / "set"
     config.write_text(CONFIG.to_toml(), encoding="utf-8")
@@ -147,18 +133,18 @@ def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(whole, tmp_path
     (tmp_path / "set.partial/pieces/train/000001.arrow").unlink(missing_ok=True)  # a film without its seal
     (tmp_path / "set.partial/pieces/train/000001.pixels.mp4").write_bytes(b"half a film")
     generate(out, CONFIG, REQUEST)
-    assert_same_bytes(whole, out)
+    assert_same_bytes(seeing_run, out)
 
 
 @pytest.mark.parametrize("there", ["pieces", "manifest"])
-def test_a_run_killed_while_it_cleared_away_is_finished(whole, tmp_path, there):
+def test_a_run_killed_while_it_cleared_away_is_finished(seeing_run, tmp_path, there):
     partial = tmp_path / "set.partial"
-    shutil.copytree(whole, partial)
+    shutil.copytree(seeing_run, partial)
     if there == "pieces":
         (partial / "manifest.json").unlink()
         (partial / "pieces/train").mkdir(parents=True)
     generate(tmp_path / "set", CONFIG, REQUEST)
-    assert_same_bytes(whole, tmp_path / "set")
+    assert_same_bytes(seeing_run, tmp_path / "set")
 
 
 def test_a_second_writer_is_refused(tmp_path):
@@ -184,7 +170,7 @@ def small_disk(tmp_path):
 
 
 @pytest.mark.parametrize("left", [0, 8192, 65536])
-def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(whole, small_disk, left):
+def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(seeing_run, small_disk, left):
     """Whichever file is the one that does not fit."""
     filler = small_disk / "filler"
 
@@ -196,7 +182,7 @@ def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(whole, small
         generate(small_disk / "set", CONFIG, REQUEST, progress=fill)
     filler.unlink()
     generate(small_disk / "set", CONFIG, REQUEST)
-    assert_same_bytes(whole, small_disk / "set")
+    assert_same_bytes(seeing_run, small_disk / "set")
 
 
 @pytest.mark.parametrize("side", [16, 15])
