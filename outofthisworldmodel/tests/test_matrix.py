@@ -110,15 +110,15 @@ def test_wrong_maps_are_wrong_by_what_they_say():
 
 def test_a_coast_called_clear_is_clear_of_the_boxes(quick_fields):
     rng = np.random.default_rng(0)
-    place = rng.normal(size=(400, 3))
-    place *= rng.uniform(20, 60, (400, 1)) / np.linalg.norm(place, axis=1, keepdims=True)
-    speed = rng.uniform(0, 0.6, (400, 1))
-    states = np.concatenate([place, rng.normal(size=(400, 3)) * speed / 3**0.5], axis=1).astype(np.float32)
+    place = rng.normal(size=(150, 3))
+    place *= rng.uniform(20, 60, (150, 1)) / np.linalg.norm(place, axis=1, keepdims=True)
+    speed = rng.uniform(0, 0.6, (150, 1))
+    states = np.concatenate([place, rng.normal(size=(150, 3)) * speed / 3**0.5], axis=1).astype(np.float32)
     n = 1.127e-3
     clear = coasts_clear(load_field(), states, n)
     paths = np.einsum("tij,nj->nti", transitions(n), states)
     least = hull_distance(paths, 2.25).min(axis=1)
-    assert 100 < clear.sum() < 350
+    assert 40 < clear.sum() < 130
     assert (least[clear] > 0).all() and clear[least > 1.0].all()
     # Nothing moves about a point of the orbit; a metre ahead and at rest stays there.
     still = transitions(n) @ np.array([0.0, -50, 0, 0, 0, 0])
