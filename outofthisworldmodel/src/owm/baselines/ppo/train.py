@@ -16,7 +16,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
 from owm.baselines.ppo.config import PPOConfig
-from owm.baselines.ppo.policy import save_policy
+from owm.baselines.ppo.policy import Observed, save_policy
 from owm.baselines.ppo.vec_env import make_env
 from owm.training.metrics import Metrics
 from owm_envs.claims import Claim
@@ -150,16 +150,15 @@ def _export(model: PPO, venv: VecNormalize, folder: Path, config: PPOConfig, lin
     for i, layer in enumerate([*linear, model.policy.action_net]):
         weights[f"weight.{i}"] = layer.weight.detach().cpu().numpy()
         weights[f"bias.{i}"] = layer.bias.detach().cpu().numpy()
+    observation = list(venv.get_attr("layout")[0].names)
+    observed = Observed(env=config.env, observe_field=config.observe_field, observation=observation)
     about = {
-        "env": config.env,
         "noise": config.noise,
-        "observe_field": config.observe_field,
-        "observation": list(venv.get_attr("layout")[0].names),
         "step": line["step"],
         "validation_return": line["validation/return"],
         "run": config.model_dump(mode="json"),
     }
-    save_policy(folder, weights, about)
+    save_policy(folder, weights, observed, about)
 
 
 def _save(model: PPO, venv: VecNormalize, folder: Path) -> None:
