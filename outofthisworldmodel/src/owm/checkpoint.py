@@ -5,9 +5,10 @@ calls for before a number is read; numbers must be finite and of a size that mea
 digest in `config.json`, that file itself too.
 """
 
+import contextlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from hashlib import file_digest, sha256
@@ -85,12 +86,20 @@ class _Told(Frozen):
     model_config = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
 
 
+class Noise(_Told):
+    """Of a dataset's sensors: `owm_envs.config.parts.NoiseConfig` as far as it is told."""
+
+    position: float | None = None
+    position_per_range: float | None = None
+    velocity: float | None = None
+
+
 class Corpus(_Told):
     """A dataset that a model was trained on."""
 
     name: str = ""
     fidelity: str | None = None
-    noise: dict[str, float | dict[str, Any] | None] | None = None
+    noise: Noise | None = None
 
 
 class About(_Told):
@@ -233,11 +242,13 @@ def check_files(path: str | os.PathLike) -> Header:
     Raises:
         CheckpointError: there is none, or a file is missing or damaged.
     """
+    path = Path(path)
     header = read_header(path)
-    for name in FILES[1:]:
-        if name in header.sha256:
-            with _present(Path(path) / name).open("rb") as file:
-                _compare(Path(path) / name, file_digest(file, "sha256").hexdigest(), header)
+    with _in_words(path):
+        _statistics(path, header)
+        _weights(path, header)
+        with (path / WEIGHTS).open("rb") as file:
+            _compare(path / WEIGHTS, file_digest(file, "sha256").hexdigest(), header)
     return header
 
 
@@ -254,17 +265,23 @@ def read_checkpoint(path: str | os.PathLike, make: Callable[[Contents], Any]) ->
     """
     path = Path(path)
     header = read_header(path)
-    try:
-        statistics = _statistics(path, header) if STATISTICS in header.sha256 else {}
+    with _in_words(path):
+        statistics = _statistics(path, header)
         weights, verify = _weights(path, header)
         made = make(Contents(header.kind, header.name, header.config, weights, statistics))
         verify()
+    return made
+
+
+@contextlib.contextmanager
+def _in_words(path: Path) -> Iterator[None]:
+    try:
+        yield
     except CheckpointError as error:
         told = str(error)
         raise CheckpointError(told if told.startswith(str(path)) else f"{path}: {told}") from None
     except _WRONG as error:
         raise CheckpointError(f"{path} cannot be read: {_short(error)}") from error
-    return made
 
 
 def _short(error: Exception) -> str:
@@ -290,6 +307,8 @@ def _compare(file: Path, digest: str, header: Header) -> None:
 
 
 def _statistics(path: Path, header: Header) -> dict[str, np.ndarray]:
+    if STATISTICS not in header.sha256:
+        return {}
     data = _text(path / STATISTICS)
     _compare(path / STATISTICS, sha256(data).hexdigest(), header)
     table = from_json(data)

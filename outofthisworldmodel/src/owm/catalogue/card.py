@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from owm import __version__
-from owm.checkpoint import About, Header
+from owm.checkpoint import About, Header, Noise
 
 
 def model_card(header: Header, name: str, metrics: Path | None = None) -> str:
@@ -50,10 +50,10 @@ def _corpora(about: About) -> Iterator[str]:
     if about.corpus:
         yield from ("| trained on | equations of motion | noise of position | of velocity |", "|---|---|---|---|")
         for corpus in about.corpus:
-            noise = corpus.noise or {}
-            position, part, velocity = (noise.get(key) for key in ("position", "position_per_range", "velocity"))
+            noise = corpus.noise or Noise()
+            part, position = noise.position_per_range, noise.position
             place = f"{part:g} of the distance" if part else f"{position:g} m" if position is not None else ""
-            speed = f"{velocity:g} m/s" if velocity is not None else ""
+            speed = f"{noise.velocity:g} m/s" if noise.velocity is not None else ""
             yield f"| {corpus.name} | {corpus.fidelity or ''} | {place} | {speed} |"
         yield ""
 

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from owm.catalogue import hub
-from owm.checkpoint import About, read_header
+from owm.checkpoint import FILES, About, check_files, read_header
 from owm_envs.config import DockingConfig
-from owm_envs.hub import SOURCE
 from owm_envs.words import checked_seed, unknown
 
 
@@ -192,10 +191,10 @@ def content_digest(source: str) -> str:
     path = source.removeprefix(ONLINE_PREFIX)
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
-    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-        if file.name in (hub.CARD, SOURCE):  # tell of the checkpoint, and are no part of it
-            continue
-        sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
+    check_files(folder)
+    for name in sorted(FILES):
+        if (folder / name).is_file():
+            sha.update(name.encode() + (folder / name).read_bytes())
     return sha.hexdigest()[:16]
 
 
@@ -268,7 +267,8 @@ def differences(about: About, config: DockingConfig) -> list[str]:
     """How what a checkpoint was trained on differs from the environment, where it tells."""
     told = []
     for part in ("fidelity", "noise"):
-        seen = [told for corpus in about.corpus if (told := getattr(corpus, part)) is not None]
+        facts = (corpus.model_dump(exclude_unset=True).get(part) for corpus in about.corpus)
+        seen = [each for each in facts if each is not None]
         now = config.model_dump(mode="json")[part]
         if seen and now not in seen:
             told.append(f"was trained on other {part} than it flies in: {_short(seen)}; now {_short([now])}")

@@ -151,7 +151,7 @@ def _layout(observed: Observed, weights: Mapping[str, Any]) -> dict[str, jax.Sha
     widths = [size, *(shape[0] if shape else 0 for shape in inside), ACTIONS]
     layout: dict[str, jax.ShapeDtypeStruct] = {
         "mean": Within((size,), np.float32, -LARGEST, LARGEST),
-        "variance": Within((size,), np.float32, 0.0, LARGEST**2),
+        "variance": Within((size,), np.float32, 0.0, LARGEST),
     }
     for i, (inputs, outputs) in enumerate(pairwise(widths)):
         layout[f"weight.{i}"] = jax.ShapeDtypeStruct((outputs, inputs), np.float32)
