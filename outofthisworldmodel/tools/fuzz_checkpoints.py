@@ -12,6 +12,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,6 +76,9 @@ def make(root: Path) -> dict[str, Path]:
     return folders | {"ppo": root / "ppo"}
 
 
+_FILES = {"config": HEADER, "weights": WEIGHTS, "statistics": STATISTICS}
+
+
 class Hangs(BaseException):
     """A door took longer than `SECONDS`."""
 
@@ -83,17 +87,27 @@ class Damage(NamedTuple):
     """One way to damage a checkpoint."""
 
     name: str
-    files: dict[str, bytes | None]
-    """New contents; None for a file that is missing."""
+    files: Callable[[], dict[str, bytes | None]]
+    """Makes new contents; None for a file that is missing."""
     forged: bool
     """Whether the digests were made to fit, so that sensible numbers are another checkpoint's, and to be read."""
 
 
-def forged(header: dict[str, Any], files: dict[str, bytes], name: str) -> Damage:
-    """Damage whose digests fit."""
-    digests = {file: digest for file, digest in header["sha256"].items() if file != HEADER}
-    digests |= {file: sha256(data).hexdigest() for file, data in files.items()}
-    return Damage(name, files | {HEADER: sealed(header | {"sha256": digests})}, forged=True)
+def plain(name: str, **files: bytes | None) -> Damage:
+    """Damage to a file whose digest stays: `config`, `weights` or `statistics`."""
+    return Damage(name, lambda: {_FILES[key]: data for key, data in files.items()}, forged=False)
+
+
+def forged(name: str, header: dict[str, Any], **files: bytes | Callable[[], bytes]) -> Damage:
+    """Damage whose digests fit: another header, other `weights` or `statistics`."""
+
+    def make() -> dict[str, bytes | None]:
+        made = {_FILES[key]: data if isinstance(data, bytes) else data() for key, data in files.items()}
+        digests = {file: digest for file, digest in header["sha256"].items() if file != HEADER}
+        digests |= {file: sha256(data).hexdigest() for file, data in made.items()}
+        return {**made, HEADER: sealed(header | {"sha256": digests})}
+
+    return Damage(name, make, forged=True)
 
 
 def damages(folder: Path, flips: int = 4, seed: int = 0) -> Iterator[Damage]:
@@ -105,17 +119,18 @@ def damages(folder: Path, flips: int = 4, seed: int = 0) -> Iterator[Damage]:
     rng = random.Random(seed)
     contents = {name: (folder / name).read_bytes() for name in FILES}
     header = json.loads(contents[HEADER])
-    for name, data in contents.items():
-        yield Damage(f"{name} missing", {name: None}, forged=False)
-        yield Damage(f"{name} empty", {name: b""}, forged=False)
-        yield Damage(f"{name} cut", {name: data[: len(data) // 2]}, forged=False)
-        yield Damage(f"{name} longer", {name: data + b" "}, forged=False)
+    for key, name in _FILES.items():
+        data = contents[name]
+        yield plain(f"{name} missing", **{key: None})
+        yield plain(f"{name} empty", **{key: b""})
+        yield plain(f"{name} cut", **{key: data[: len(data) // 2]})
+        yield plain(f"{name} longer", **{key: data + b" "})
         for place in rng.choices(range(len(data)), k=flips):
             flipped = bytearray(data)
             flipped[place] ^= 1 << rng.randrange(8)
-            yield Damage(f"{name} byte {place}", {name: bytes(flipped)}, forged=False)
+            yield plain(f"{name} byte {place}", **{key: bytes(flipped)})
             if name != HEADER:
-                yield forged(header, {name: bytes(flipped)}, f"{name} byte {place}, forged")
+                yield forged(f"{name} byte {place}, forged", header, **{key: bytes(flipped)})
     yield from _headers(header)
     yield from _statistics(header, json.loads(contents[STATISTICS]))
     yield from _tensors(header, contents[WEIGHTS])
@@ -141,24 +156,23 @@ def _headers(header: dict[str, Any]) -> Iterator[Damage]:
     for place in _places(header):
         name = ".".join(map(str, place))
         if place[0] == "sha256":
-            yield Damage(name, {HEADER: json.dumps(_with(header, place, 3)).encode()}, forged=False)
+            yield plain(name, config=json.dumps(_with(header, place, 3)).encode())
             continue
         for value in ABSURD:
-            yield forged(_with(header, place, value), {}, f"{name} = {str(value)[:20]!r}")
-        if isinstance(value := _at(header, place), int | float) and not isinstance(value, bool):
-            yield Damage(f"{name} edited", {HEADER: sealed(header).replace(b"0.25", b"0.35")}, forged=False)
+            yield forged(f"{name} = {_few(value)}", _with(header, place, value))
+        yield plain(f"{name} edited", config=json.dumps(_with(header, place, 7), indent=1).encode())
         if len(place) == 1:
-            yield forged({key: value for key, value in header.items() if key != name}, {}, f"no {name}")
+            yield forged(f"no {name}", {key: value for key, value in header.items() if key != name})
     for text in (b"[" * 10**5, b'{"config":' * 10**5, b"[1]", b"3", b"\xff", b"NaN", b'{"format": 3}'):
-        yield Damage(f"config.json is {text[:12]!r}", {HEADER: text}, forged=False)
+        yield plain(f"config.json is {text[:12]!r}", config=text)
     deep: Any = 0
     for _ in range(900):
         deep = [deep]
-    yield forged(header | {"about": {"deep": deep}}, {}, "deep about")
+    yield forged("deep about", header | {"about": {"deep": deep}})
 
 
-def _at(table: Any, path: tuple) -> Any:
-    return _at(table[path[0]], path[1:]) if path else table
+def _few(value: Any) -> str:
+    return json.dumps(value)[:20]
 
 
 def _statistics(header: dict[str, Any], table: dict[str, Any]) -> Iterator[Damage]:
@@ -167,17 +181,17 @@ def _statistics(header: dict[str, Any], table: dict[str, Any]) -> Iterator[Damag
         first = np.full(np.shape(value), 1.0)
         for bad in (*wrong, *(first * x for x in (np.nan, np.inf, 1e38, -1.0, 0.0, 1e-40))):
             bad = bad.tolist() if isinstance(bad, np.ndarray) else bad
-            data = json.dumps(table | {name: bad}).encode()
-            yield forged(header, {STATISTICS: data}, f"statistics {name} = {str(bad)[:20]}")
+            other = table | {name: bad}
+            yield forged(f"{name} = {_few(bad)}", header, statistics=lambda other=other: json.dumps(other).encode())
     for text in (b"[1, 2]", b"null", b"", b"[" * 10**5, b'{"a":' * 10**5):
-        yield forged(header, {STATISTICS: text}, f"statistics are {text[:12]!r}")
+        yield forged(f"statistics are {text[:12]!r}", header, statistics=text)
 
 
 def _tensors(header: dict[str, Any], data: bytes) -> Iterator[Damage]:
     tensors = safetensors.numpy.load(data)
-    one = np.ones(1, np.float32)
-    yield forged(header, {WEIGHTS: safetensors.numpy.save({})}, "no tensors")
-    yield forged(header, {WEIGHTS: safetensors.numpy.save(tensors | {"surplus": one})}, "a tensor more")
+    more = tensors | {"surplus": np.ones(1, np.float32)}
+    yield forged("no tensors", header, weights=safetensors.numpy.save({}))
+    yield forged("a tensor more", header, weights=safetensors.numpy.save(more))
     bad: list[tuple[str, Callable[[np.ndarray], np.ndarray]]] = [
         *((f"* {x:g}", lambda w, x=x: w * np.float32(x)) for x in (np.nan, np.inf, 1e38, 1e10)),
         *((kind, lambda w, kind=kind: w.astype(kind)) for kind in ("complex64", "int32", "float64", "float16", "bool")),
@@ -186,12 +200,15 @@ def _tensors(header: dict[str, Any], data: bytes) -> Iterator[Damage]:
         ("empty", lambda w: w.reshape(-1)[:0].copy()),
     ]
     for name, tensor in tensors.items():
-        for what, change in bad:
+
+        def changed(change: Callable, name: str = name, tensor: np.ndarray = tensor) -> bytes:
             with np.errstate(all="ignore"):
-                changed = safetensors.numpy.save(tensors | {name: np.ascontiguousarray(change(tensor + 0.5))})
-            yield forged(header, {WEIGHTS: changed}, f"{name} {what}")
+                return safetensors.numpy.save(tensors | {name: np.ascontiguousarray(change(tensor + 0.5))})
+
+        for what, change in bad:
+            yield forged(f"{name} {what}", header, weights=partial(changed, change))
         rest = {other: value for other, value in tensors.items() if other != name}
-        yield forged(header, {WEIGHTS: safetensors.numpy.save(rest)}, f"no {name}")
+        yield forged(f"no {name}", header, weights=partial(safetensors.numpy.save, rest))
 
 
 def _formats(header: dict[str, Any], data: bytes) -> Iterator[Damage]:
@@ -204,22 +221,22 @@ def _formats(header: dict[str, Any], data: bytes) -> Iterator[Damage]:
         return len(text).to_bytes(8, "little") + text + rest
 
     for text in (b"", b"[]", b"null", b"[" * 10**5, b'{"a":' * 10**5):
-        yield forged(header, {WEIGHTS: packed(text)}, f"tensors' header is {text[:12]!r}")
+        yield forged(f"tensors' header is {text[:12]!r}", header, weights=packed(text))
     for length in (0, 2**31, 2**63, 2**64 - 1):
-        yield forged(header, {WEIGHTS: length.to_bytes(8, "little") + data[8:]}, f"header of {length} bytes")
+        yield forged(f"header of {length} bytes", header, weights=length.to_bytes(8, "little") + data[8:])
     for name in list(table)[:2]:
         for field in ("shape", "dtype", "data_offsets"):
             for value in (*ABSURD, [10**9] * 4, [-1], [2**63, 2], "C64", "BF16", "F8_E4M3", [0, 2**62], [4, 0]):
-                if json.dumps(value).encode() != b"Infinity":
-                    changed = packed(_with(table, (name, field), value))
-                    yield forged(header, {WEIGHTS: changed}, f"{name}.{field} = {str(value)[:20]}")
+                other = _with(table, (name, field), value)
+                yield forged(f"{name}.{field} = {_few(value)}", header, weights=partial(packed, other))
 
 
 def lay(folder: Path, whole: Path, damage: Damage) -> None:
     """Write a damaged copy of a whole checkpoint."""
     folder.mkdir()
+    files = damage.files()
     for name in FILES:
-        data = damage.files.get(name, (whole / name).read_bytes())
+        data = files[name] if name in files else (whole / name).read_bytes()
         if data is not None:
             (folder / name).write_bytes(data)
 
