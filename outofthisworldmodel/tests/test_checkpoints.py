@@ -2,22 +2,37 @@
 
 import json
 import os
+from dataclasses import replace
 
 import fuzz_checkpoints
+import jax
 import numpy as np
 import pytest
 import safetensors.numpy
 from fuzz_checkpoints import damages, forged, judge, lay, plain
 
+from owm.baselines.ppo.policy import Observed, save_policy
 from owm.catalogue.checkpoint import load_world_model
 from owm.catalogue.hub import repository
 from owm.catalogue.policies import content_digest, kind_of, load_policy
-from owm.checkpoint import HEADER, STATISTICS, WEIGHTS, CheckpointError, check_files, read_header, sealed
+from owm.checkpoint import (
+    HEADER,
+    STATISTICS,
+    WEIGHTS,
+    CheckpointError,
+    check_files,
+    read_header,
+    save_world_model,
+    sealed,
+)
 from owm.model.config import ModelConfig
 from owm.model.streams import STREAMS
 
 KINDS = {"constant_velocity": 41, "least_squares": 59, "kinematic": 367, "adaptive": 353, "latent": 349, "ppo": 47}
 """Every so many of the campaign's cases are tried here; `tools/fuzz_checkpoints.py` tries them all."""
+
+OBSERVED = Observed(env="iss", observe_field=False, observation=["x", "y"])
+LAYER = {"weight.0": np.zeros((6, 2)), "bias.0": np.zeros(6)}
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +61,51 @@ def test_a_sample_of_the_campaign(kind, whole, tmp_path):
             lay(folder := tmp_path / str(number), whole[kind], damage)
             found.add(judge(folder, damage))
     assert "refused" in found
+
+
+@pytest.mark.parametrize("kind", ["least_squares", "latent"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e38])
+def test_numbers_that_mean_nothing_are_not_written(kind, bad, whole, tmp_path):
+    model = load_world_model(whole[kind])
+    broken = replace(model, params=jax.tree.map(lambda leaf: leaf * bad, model.params))
+    with pytest.raises(CheckpointError, match=r"numbers that are not (finite|between)"):
+        save_world_model(broken, tmp_path / "broken")
+    with pytest.raises(CheckpointError, match=r"mean holds .* numbers that are not"):
+        save_policy(tmp_path / "broken", {"mean": np.full(2, bad), "variance": np.ones(2), **LAYER}, OBSERVED, {})
+    assert not (tmp_path / "broken").exists()
+
+
+def test_missing_damaged_and_other_files_are_named(whole, tmp_path):
+    with pytest.raises(CheckpointError, match=r"config\.json is missing"):
+        load_world_model(tmp_path)
+    for name, told in (("weights", "is damaged"), ("statistics", r"does not match config\.json")):
+        file = {"weights": WEIGHTS, "statistics": STATISTICS}[name]
+        data = (whole["latent"] / file).read_bytes()
+        lay(tmp_path / name, whole["latent"], plain("", **{name: data[:-8]}))
+        with pytest.raises(CheckpointError, match=f"{file} {told}"):
+            load_world_model(tmp_path / name)
+    lay(tmp_path / "other", whole["latent"], plain("", weights=(whole["adaptive"] / WEIGHTS).read_bytes()))
+    for door in (check_files, lambda path: content_digest(str(path))):
+        with pytest.raises(CheckpointError, match=r"does not match config\.json: damaged, or from another checkpoint"):
+            door(tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    ("header", "told"),
+    [
+        ({"format": 99}, "has format 99, this version reads format 3"),
+        ({"format": True}, "format: must be a whole number"),
+        ({"kind": "dreamer"}, "unknown kind 'dreamer', expected learned, "),
+        ({"kind": "least_squares", "config": {"history_length": 8, "dt": 0.25}}, "not part of this configuration"),
+        ({"name": "a\nb"}, "name: "),
+        ({"name": "x" * 201}, "name: "),
+        ({"more": 1}, "unknown key 'more'"),
+    ],
+)
+def test_mismatches_are_refused(header, told, change):
+    folder = change(header=header)
+    with pytest.raises(CheckpointError, match=f"{folder.name}.*{told}"):
+        load_world_model(folder)
 
 
 @pytest.mark.parametrize("kind", KINDS)
