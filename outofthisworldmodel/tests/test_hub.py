@@ -78,11 +78,11 @@ def test_what_does_not_match_is_refused(serve, published):
 def test_damaged_files_are_refused(serve, published, tmp_path):
     (published / "weights.safetensors").write_bytes(b"other weights")
     serve(published)
-    with pytest.raises(CheckpointError, match=r"weights\.safetensors does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         load_world_model("user/model")
-    with pytest.raises(CheckpointError, match=r"weights\.safetensors does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         download("user/model", tmp_path / "back")
-    with pytest.raises(CheckpointError, match=r"weights\.safetensors does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         repository(published, "user/model")
 
 

@@ -1,24 +1,9 @@
 """The one interface behind which every world model, learned or not, meets the planner and the scores."""
 
-from typing import Annotated, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 from jaxtyping import Array, Bool, Float, Key, PyTree, Shaped
-from pydantic import Field
-
-from owm_envs.config.parts import Frozen
-
-Measurements = Annotated[int, Field(ge=1, le=1024)]
-"""How many a prediction starts from."""
-Step = Annotated[float, Field(ge=1e-3, le=60.0)]
-"""Seconds."""
-
-
-class Timing(Frozen):
-    """How a model counts time."""
-
-    history_length: Measurements
-    dt: Step
 
 
 class History(NamedTuple):

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from owm.checkpoint import Contents, fill
-from owm.interface import History, Timing
+from owm.interface import History
+from owm.model.config import Timing
 from owm.motion.kinematics import Motion, advance, to_motion, to_view
 from owm_envs.task.sensors import STATE
 

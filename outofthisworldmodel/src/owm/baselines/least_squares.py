@@ -6,7 +6,8 @@ from jaxtyping import Array, Float, Key
 
 from owm.checkpoint import Contents, dtype_of, fill
 from owm.data.windows import Episodes
-from owm.interface import History, Timing
+from owm.interface import History
+from owm.model.config import Timing
 from owm.motion.kinematics import Motion, to_motion, to_view
 from owm.motion.linear import LinearMap, fit_linear_map, linear_advance
 from owm_envs.task.sensors import STATE

@@ -4,12 +4,20 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from owm.interface import Measurements, Step
 from owm_envs.config.parts import Frozen
 
+Measurements = Annotated[int, Field(ge=1, le=1024)]
+Seconds = Annotated[float, Field(ge=1e-3, le=60.0)]
 Layers = Annotated[int, Field(ge=1, le=64)]
 Width = Annotated[int, Field(ge=1, le=8192)]
 Heads = Annotated[int, Field(ge=1, le=256)]
+
+
+class Timing(Frozen):
+    """How a model without a network counts time."""
+
+    history_length: Measurements
+    dt: Seconds
 
 
 class ModelConfig(Frozen):
@@ -23,7 +31,7 @@ class ModelConfig(Frozen):
     trained like all other weights, or nothing."""
     backbone: Literal["transformer", "gru", "mlp"] = "transformer"
     """What relates the tokens of a history: attention, or a recurrent or a feed-forward network of the same size."""
-    dt: Step = 0.25
+    dt: Seconds = 0.25
     """Seconds a step."""
     history_length: Measurements = 8
     """`H`: most measurements a prediction starts from."""
