@@ -436,11 +436,14 @@ def dtype_of(weights: Mapping[str, Any]) -> np.dtype:
     """The type of all weights, if they have one.
 
     Raises:
-        CheckpointError: there are none.
+        CheckpointError: there are none, or they need a mode of JAX that is off.
     """
     if not weights:
         raise CheckpointError(f"{WEIGHTS} holds no weights")
-    return next(iter(weights.values())).dtype
+    dtype = next(iter(weights.values())).dtype
+    if jax.dtypes.canonicalize_dtype(dtype) != dtype:
+        raise CheckpointError(f"weights of {dtype} need JAX's 64-bit mode: work inside `with jax.enable_x64(True):`")
+    return dtype
 
 
 def _some(names: list[str]) -> str:
