@@ -14,13 +14,13 @@ from fuzz_checkpoints import damages, forged, judge, lay, plain
 from owm.baselines.ppo.policy import Observed, save_policy
 from owm.catalogue.checkpoint import load_world_model
 from owm.catalogue.hub import repository
+from owm.catalogue.kinds import check
 from owm.catalogue.policies import content_digest, kind_of, load_policy
 from owm.checkpoint import (
     HEADER,
     STATISTICS,
     WEIGHTS,
     CheckpointError,
-    check_files,
     read_header,
     save_world_model,
     sealed,
@@ -85,7 +85,7 @@ def test_missing_damaged_and_other_files_are_named(whole, tmp_path):
         with pytest.raises(CheckpointError, match=f"{file} {told}"):
             load_world_model(tmp_path / name)
     lay(tmp_path / "other", whole["latent"], plain("", weights=(whole["adaptive"] / WEIGHTS).read_bytes()))
-    for door in (check_files, lambda path: content_digest(str(path))):
+    for door in (check, lambda path: content_digest(str(path))):
         with pytest.raises(CheckpointError, match=r"does not match config\.json: damaged, or from another checkpoint"):
             door(tmp_path / "other")
 
@@ -221,7 +221,7 @@ def test_statistics_that_mean_nothing_are_refused(name, value, told, change, who
 @pytest.mark.parametrize("data", [b"", b"[1, 2]", b"[" * 10**5, b'{"a":' * 10**5, b"null", b"\xff" * 20])
 def test_files_of_something_else_are_refused(name, data, change):
     folder = change(**{name: data})
-    for door in (load_world_model, check_files):
+    for door in (load_world_model, check):
         with pytest.raises(CheckpointError, match=folder.name) as error:
             door(folder)
         assert len(str(error.value)) < 600
@@ -232,7 +232,7 @@ def test_files_of_something_else_are_refused(name, data, change):
 )
 def test_a_damaged_header_is_named_at_every_door(text, whole, tmp_path):
     lay(tmp_path / "m", whole["kinematic"], plain("", config=text))
-    doors = (load_world_model, read_header, check_files, lambda path: kind_of(str(path)))
+    doors = (load_world_model, read_header, check, lambda path: kind_of(str(path)))
     for door in (*doors, lambda path: content_digest(str(path)), lambda path: repository(path, "user/name")):
         with pytest.raises(CheckpointError, match=r"config\.json (is damaged|has 33,554,432 bytes)") as error:
             door(tmp_path / "m")
@@ -306,7 +306,7 @@ def test_a_file_of_gigabytes_is_not_read(change):
     for name in (WEIGHTS, STATISTICS, HEADER):
         folder = change()
         os.truncate(folder / name, 2**36)
-        for door in (load_world_model, check_files):
+        for door in (load_world_model, check):
             with pytest.raises(CheckpointError, match=r"damaged|bytes, a checkpoint's at most"):
                 door(folder)
 

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from hashlib import file_digest, sha256
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Protocol
 
@@ -233,22 +233,6 @@ def _header(data: bytes, path: Path) -> Header:
         raise CheckpointError(f"{path / HEADER} is damaged, or no checkpoint's: {_short(error)}") from None
     if own and sha256(data.replace(own.encode(), b"", 1)).hexdigest() != own:
         raise CheckpointError(f"{path / HEADER} does not match its own digest: it was damaged or edited")
-    return header
-
-
-def check_files(path: str | os.PathLike) -> Header:
-    """Read what a checkpoint of any kind tells of itself, and compare its files with that.
-
-    Raises:
-        CheckpointError: there is none, or a file is missing or damaged.
-    """
-    path = Path(path)
-    header = read_header(path)
-    with _in_words(path):
-        _statistics(path, header)
-        _weights(path, header)
-        with (path / WEIGHTS).open("rb") as file:
-            _compare(path / WEIGHTS, file_digest(file, "sha256").hexdigest(), header)
     return header
 
 

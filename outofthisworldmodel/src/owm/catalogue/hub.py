@@ -6,7 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from owm.catalogue.card import model_card
-from owm.checkpoint import FILES, HEADER, CheckpointError, NoCheckpointError, check_files
+from owm.catalogue.kinds import check
+from owm.checkpoint import FILES, HEADER, CheckpointError, NoCheckpointError
 from owm_envs import hub
 from owm_envs.hub import Repository
 from owm_envs.words import unknown
@@ -81,9 +82,9 @@ def download(source: str, out: str | os.PathLike, revision: str | None = None) -
     """
     name, _, at = source.partition("@")
     fetched = hub.fetch(hub.checked_name(name), at or revision, kind="model", only=(*FILES, CARD))
-    check_files(fetched.folder)
+    check(fetched.folder)
     contents = {file.name: file for file in fetched.folder.iterdir() if file.name != hub.SOURCE}
-    hub.deliver(contents, out, "model", {name: fetched.commit}, check_files)
+    hub.deliver(contents, out, "model", {name: fetched.commit}, check)
     return fetched.commit
 
 
@@ -104,7 +105,7 @@ def repository(source: str | os.PathLike, name: str) -> Repository:
         if not (Path(source) / "run.json").is_file():
             raise
         raise CheckpointError(f"{source} has no model yet: the same `owm train` again finishes it") from None
-    header = check_files(folder)
+    header = check(folder)
     files: dict[str, Path | bytes] = {each: folder / each for each in FILES if (folder / each).is_file()}
     files[CARD] = model_card(header, hub.checked_name(name), folder.parent / "metrics.jsonl").encode()
     return Repository(name, "model", files, f"Checkpoint of a {header.kind} model")

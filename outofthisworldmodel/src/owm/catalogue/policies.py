@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from owm.catalogue import hub
-from owm.checkpoint import FILES, About, check_files, read_header
+from owm.catalogue.kinds import check
+from owm.checkpoint import FILES, About, read_header
 from owm_envs.config import DockingConfig
 from owm_envs.words import checked_seed, unknown
 
@@ -191,7 +192,7 @@ def content_digest(source: str) -> str:
     path = source.removeprefix(ONLINE_PREFIX)
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
-    check_files(folder)
+    check(folder)
     for name in sorted(FILES):
         if (folder / name).is_file():
             sha.update(name.encode() + (folder / name).read_bytes())

@@ -85,7 +85,7 @@ class PPOPolicy(SlotPolicy):
         num_slots: int = 1,
         field: GeodesicField | None = None,
     ):
-        observed, weights = read_checkpoint(folder, _read)
+        observed, weights = read_checkpoint(folder, read_policy)
         self._layers = [(weights[f"weight.{i}"].T, weights[f"bias.{i}"]) for i in range(len(weights) // 2 - 1)]
         self._mean, self._deviation = weights["mean"], np.sqrt(weights["variance"] + _EPSILON)
         layout = DockingEnv(config).layout
@@ -133,7 +133,8 @@ class PPOPolicy(SlotPolicy):
         return np.clip(x @ weight + bias, -1.0, 1.0).astype(np.float32)
 
 
-def _read(contents: Contents) -> tuple[Observed, dict[str, np.ndarray]]:
+def read_policy(contents: Contents) -> tuple[Observed, dict[str, np.ndarray]]:
+    """What a policy looks at, and its weights. Raises CheckpointError, ValueError: they don't fit together."""
     if contents.kind != "ppo":
         raise CheckpointError(f"expected a policy of kind 'ppo', found {contents.kind!r}")
     observed = Observed.model_validate(contents.config, strict=True)
