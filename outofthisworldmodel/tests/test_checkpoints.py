@@ -84,7 +84,8 @@ def test_missing_damaged_and_other_files_are_named(whole, tmp_path):
         lay(tmp_path / name, whole["latent"], plain("", **{name: data[:-8]}))
         with pytest.raises(CheckpointError, match=f"{file} {told}"):
             load_world_model(tmp_path / name)
-    lay(tmp_path / "other", whole["latent"], plain("", weights=(whole["adaptive"] / WEIGHTS).read_bytes()))
+    other = tensors_with(whole["least_squares"], "bias", lambda bias: bias + 1)
+    lay(tmp_path / "other", whole["least_squares"], plain("", weights=other))
     for door in (check, lambda path: content_digest(str(path))):
         with pytest.raises(CheckpointError, match=r"does not match config\.json: damaged, or from another checkpoint"):
             door(tmp_path / "other")
