@@ -52,7 +52,8 @@ class LinearMap(NamedTuple):
     def skeleton(cls, dtype: jnp.dtype) -> "LinearMap":
         """Return the shapes."""
         # Generous: a step of a second moves a craft of a hundred grams by 10 m/s for each newton.
-        return cls(*(Within(shape, dtype, -10.0, 10.0) for shape in ((6, 6), (6,), (3, 6), (3, 15))))
+        pushed = (Within(shape, dtype, -10.0, 10.0) for shape in ((6, 6), (6,)))
+        return cls(*pushed, *(jax.ShapeDtypeStruct(shape, dtype) for shape in ((3, 6), (3, 15))))
 
 
 def rate_products(rate: Float[Array, "3"], turn: Float[Array, "3 3"]) -> Float[Array, "15"]:

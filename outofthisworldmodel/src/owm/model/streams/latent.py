@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from astrojax.attitude import quat_sign
-from owm.checkpoint import positive
+from owm.checkpoint import LARGEST, Within, positive
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.transformer import MLP, Linear
@@ -143,7 +143,7 @@ class LatentStream(eqx.Module):
     @staticmethod
     def skeleton(dtype: jnp.dtype) -> Statistics:
         """Return the shapes of the statistics."""
-        transition = jax.ShapeDtypeStruct((_FEATURES, COLUMNS), dtype)
+        transition = Within((_FEATURES, COLUMNS), dtype, -LARGEST, LARGEST)
         scale = positive((4,), dtype)
         return Statistics(scale, transition, scale, scale, positive((6,), dtype))
 
