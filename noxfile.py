@@ -23,6 +23,8 @@ nox.options.sessions = ["lint", "tests"]
 ROOT = Path(__file__).parent.resolve()
 PACKAGES = {"astrojax": "astrojax", "outofthisworldmodel-envs": "owm_envs", "outofthisworldmodel": "owm"}
 RUFF = "ruff==0.17.6"
+TOOLS = ROOT / ".github" / "tools.txt"
+"""What builds the wheels, to the byte."""
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 """Names that tests look for in the path, unless `OWM_CHROMIUM` says where it is."""
 CLIENTS = ("==0.34.0", ">=2")
@@ -77,8 +79,8 @@ def _install(session: nox.Session, *requirements: str) -> None:
     Sources are editable, so only a changed pyproject.toml calls for another install.
     """
     digest = hashlib.sha256(repr((sys.version, str(ROOT), requirements)).encode())
-    for package in PACKAGES:
-        digest.update((ROOT / package / "pyproject.toml").read_bytes())
+    for file in (TOOLS, *(ROOT / package / "pyproject.toml" for package in PACKAGES)):
+        digest.update(file.read_bytes())
     stamp = Path(session.virtualenv.location) / "installed.sha256"
     if stamp.is_file() and stamp.read_text(encoding="ascii") == digest.hexdigest():
         session.log("environment is up to date")
@@ -117,20 +119,23 @@ def demo(session: nox.Session) -> None:
 
 
 @nox.session
-def wheels(session: nox.Session) -> None:
-    """Build sdists and wheels into dist/ and try the wheels in a clean environment elsewhere."""
-    _install(session, "build>=1.2", "hatchling>=1.25", "virtualenv>=20.26")
+def build(session: nox.Session) -> None:
+    """Build sdists and wheels into dist/, with nothing but the pinned tools beside them."""
+    _install(session, "--require-hashes", "-r", str(TOOLS))
     dist = ROOT / "dist"
     shutil.rmtree(dist, ignore_errors=True)
     for package in PACKAGES:
         # The wheel is built from the sdist, so this also shows that the sdist is complete.
         build = ["python", "-m", "build", "--no-isolation", "--outdir", str(dist), f"./{package}"]
         session.run(*build, silent=True)
-    built = sorted(dist.glob("*.whl"))
-    if len(built) != len(PACKAGES):
-        session.error(f"expected {len(PACKAGES)} wheels in dist/, found {[wheel.name for wheel in built]}")
-    _check_contents(session, built)
+    _check_contents(session, _built(session))
 
+
+@nox.session
+def wheels(session: nox.Session) -> None:
+    """Try the wheels that `build` left in dist/ in a clean environment elsewhere."""
+    _install(session, "--require-hashes", "-r", str(TOOLS))
+    built = _built(session)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         session.run("python", "-m", "virtualenv", "--quiet", f"{folder}/venv")
         python = str(Path(folder, "venv", "Scripts/python.exe" if os.name == "nt" else "bin/python"))
@@ -140,6 +145,14 @@ def wheels(session: nox.Session) -> None:
             paths = [str(wheel) for wheel in built]
             session.run(python, "-m", "pip", "install", "--quiet", *paths, external=True)
             session.run(python, "-I", str(smoke), external=True, env={"PYTHONPATH": ""})
+
+
+def _built(session: nox.Session) -> list[Path]:
+    """The wheels in dist/."""
+    built = sorted((ROOT / "dist").glob("*.whl"))
+    if len(built) != len(PACKAGES):
+        session.error(f"expected {len(PACKAGES)} wheels in dist/, found {[wheel.name for wheel in built]}")
+    return built
 
 
 def _check_contents(session: nox.Session, built: list[Path]) -> None:

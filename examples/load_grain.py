@@ -3,7 +3,7 @@
 `Windows` is a source of random access as it is. The pipeline shuffles, repeats, normalises and batches; where it is can
 be saved and taken up again, so that a training run that was killed sees no window twice.
 
-Needs Grain (`pip install grain`), and for a dataset with videos `pip install "outofthisworldmodel-envs[video]"`.
+Needs Grain (`pip install grain`), and for a dataset with videos PyAV (`pip install av`).
 """
 
 import argparse

@@ -3,7 +3,7 @@
 `Windows` has a length and items, which is all that a `DataLoader` asks for. Arrays become tensors, uint8 frames too.
 Each worker opens the files by itself. Numbers are normalised by the statistics that came with the dataset.
 
-Needs torch (`pip install torch`), and for a dataset with videos `pip install "outofthisworldmodel-envs[video]"`.
+Needs torch (`pip install torch`), and for a dataset with videos PyAV (`pip install av`).
 """
 
 import argparse

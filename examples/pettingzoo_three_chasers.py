@@ -4,7 +4,7 @@ Each chaser is flown by the proportional pilot that follows the shortest way aro
 measures; it heeds the hull and not the other chasers, which its observation shows too. Prints what became of each and
 draws the tracks. The way to a port is solved once and kept in the user's cache directory.
 
-Needs `pip install "outofthisworldmodel-envs[pettingzoo]" matplotlib`.
+Needs `pip install pettingzoo matplotlib`.
 """
 
 import argparse

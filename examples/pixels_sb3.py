@@ -4,7 +4,7 @@ With `state+pixels` a `MultiInputPolicy` sees the state part and the frame, with
 Frames are small and come once a second, as decisions do; the network is small too, so that two cores suffice. What is
 learned in minutes is to brake and to keep the nose on the station, no docking.
 
-Needs `pip install "outofthisworldmodel-envs[sb3]"`.
+Needs `pip install stable-baselines3`.
 """
 
 import argparse

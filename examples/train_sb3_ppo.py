@@ -6,7 +6,7 @@ more weight on progress and less on escape. `BodyAxes` adds the goal error as th
 network from learning to rotate. It learns to fly to the port, slow down and often to dock; nothing but the collision
 charge tells it of the hull, and some flights brush it.
 
-Needs `pip install "outofthisworldmodel-envs[sb3]" matplotlib`.
+Needs `pip install stable-baselines3 matplotlib`.
 """
 
 import argparse

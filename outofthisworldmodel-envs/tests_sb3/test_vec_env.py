@@ -286,7 +286,7 @@ def test_without_stable_baselines_the_error_names_the_extra():
         "try:\n    import owm_envs.sb3\nexcept ImportError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert "pip install 'outofthisworldmodel-envs[sb3]'" in done.stdout
+    assert 'pip install "stable-baselines3>=2.6"' in done.stdout
 
 
 def test_the_example_runs(tmp_path):

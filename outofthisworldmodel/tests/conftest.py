@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-# Tests are imported by path, not from a package, so their common helper has to be made findable.
+# Tests are imported by path, not from a package, so their common helpers have to be made findable.
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tools"))
 
 import synthetic
 

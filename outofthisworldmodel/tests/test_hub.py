@@ -8,12 +8,12 @@ import pytest
 from local_hub import Fault
 
 from owm.baselines.least_squares import LeastSquares
-from owm.baselines.ppo.policy import save_policy
+from owm.baselines.ppo.policy import Observed, save_policy
 from owm.catalogue.checkpoint import load_world_model
-from owm.catalogue.hub import CARD, CONTENTS, checkpoint_folder, download, local_folder, repository
+from owm.catalogue.hub import CARD, checkpoint_folder, download, local_folder, repository
 from owm.catalogue.policies import content_digest, kind_of, load_policy
 from owm.catalogue.predictors import evaluate_prediction
-from owm.checkpoint import CheckpointError, save_world_model
+from owm.checkpoint import FILES, CheckpointError, save_world_model
 from owm.cli import main
 from owm.data.recordings import training_episodes
 from owm.model.config import ModelConfig
@@ -61,7 +61,7 @@ def test_a_model_comes_by_id_and_nothing_but_its_files(serve, published):
     server, commit = serve(published)
     model, local = load_world_model("user/model"), load_world_model(published)
     np.testing.assert_array_equal(model.params.action, local.params.action)
-    assert set(server.fetched()) == set(CONTENTS)
+    assert set(server.fetched()) == set(FILES)
     server.asked.clear()
     load_world_model(f"user/model@{commit}")
     assert server.asked == [], "a commit that is there is not asked for again"
@@ -78,11 +78,11 @@ def test_what_does_not_match_is_refused(serve, published):
 def test_damaged_files_are_refused(serve, published, tmp_path):
     (published / "weights.safetensors").write_bytes(b"other weights")
     serve(published)
-    with pytest.raises(CheckpointError, match=r"weights\.safetensors does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         load_world_model("user/model")
-    with pytest.raises(CheckpointError, match=r"weights\.safetensors does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         download("user/model", tmp_path / "back")
-    with pytest.raises(CheckpointError, match=r"weights\.safetensors does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         repository(published, "user/model")
 
 
@@ -104,11 +104,11 @@ def test_a_checkpoint_goes_there_and_back(local_hub, published, tmp_path, capsys
     code, said = told(capsys, "push", published, "user/model")
     repo = local_hub.repos["model", "user/model"]
     assert code == 0 and said == f"{local_hub.address}/user/model/tree/{repo.head}: 4 files sent"
-    assert set(repo.commits[repo.head]) == {*CONTENTS, CARD, ".gitattributes"}
+    assert set(repo.commits[repo.head]) == {*FILES, CARD, ".gitattributes"}
     assert told(capsys, "push", published, "user/model")[1].endswith("nothing new to send")
     code, said = told(capsys, "download", "user/model", "--out", tmp_path / "back")
     assert code == 0 and said.endswith(f"user/model at {repo.head}")
-    for name in CONTENTS:
+    for name in FILES:
         assert (tmp_path / "back" / name).read_bytes() == (published / name).read_bytes()
     load_world_model(tmp_path / "back")
     (published / "pickled.pkl").unlink()
@@ -125,10 +125,10 @@ def test_the_card_says_what_the_checkpoint_says(published):
 
     run = published.parent / "run"
     run.mkdir()
-    header = json.loads((published / "config.json").read_text())
     corpus = {"name": "user/set@abc", "fidelity": "iss", "noise": {"position": 0.05, "velocity": 0.002}}
-    header["about"] = {"corpus": [corpus], "settled": {"steps": 30, "seed": 7}, "score": 0.25, "step": 30}
-    (published / "config.json").write_text(json.dumps(header))
+    about = {"corpus": [corpus], "settled": {"steps": 30, "seed": 7}, "score": 0.25, "step": 30}
+    (published / "pickled.pkl").unlink()
+    save_world_model(load_world_model(published), published, about=about)
     (run / "metrics.jsonl").write_text(
         '{"step": 20, "validation/score": 0.3}\n{"step": 30, "validation/score": 0.25}\n'
     )
@@ -146,7 +146,9 @@ def test_the_card_says_what_the_checkpoint_says(published):
 
 
 def test_a_policy_is_pushed_alike_and_a_run_without_a_model_is_refused(local_hub, tmp_path, capsys):
-    save_policy(tmp_path / "ppo" / "policy", {"mean": np.zeros(3)}, {"observe_field": False})
+    observed = Observed(env="iss", observe_field=False, observation=["x", "y"])
+    weights = {"mean": np.zeros(2), "variance": np.ones(2), "weight.0": np.zeros((6, 2)), "bias.0": np.zeros(6)}
+    save_policy(tmp_path / "ppo" / "policy", weights, observed, {})
     assert told(capsys, "push", tmp_path / "ppo", "user/policy")[0] == 0
     assert kind_of("user/policy") == "ppo"
     (tmp_path / "run").mkdir()

@@ -234,6 +234,14 @@ def test_observations_are_checked():
         policy.predict(broken)
 
 
+def test_a_model_that_predicts_nothing_finite_is_given_up(monkeypatch):
+    monkeypatch.setattr(FreeBody, "params", np.full(6, np.nan, np.float32))
+    policy = make()
+    with pytest.raises(ValueError, match="'free body' predicts no finite view"):
+        fly(policy, STARTS, 60)
+    assert len(policy.seconds) == 8
+
+
 @dataclass(frozen=True)
 class Ranging:
     """How many decisions ago the flight began."""

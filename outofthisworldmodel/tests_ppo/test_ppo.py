@@ -12,12 +12,11 @@ import time
 import numpy as np
 import pytest
 from rich.console import Console
-from stable_baselines3 import PPO
 
 from owm.baselines.ppo.config import PRESETS, PPOConfig
 from owm.baselines.ppo.features import field_features
 from owm.baselines.ppo.policy import PPOPolicy
-from owm.baselines.ppo.train import _restore_statistics, train_ppo
+from owm.baselines.ppo.train import _export, _restore_statistics, _resumed, train_ppo
 from owm.baselines.ppo.vec_env import make_env
 from owm.catalogue.policies import kind_of, load_policy
 from owm.checkpoint import CheckpointError
@@ -76,10 +75,9 @@ def test_the_exported_actor_is_stable_baselines3_s(run, tmp_path):
     out, _ = run
     (save,) = (out / "state").iterdir()
     venv = make_env(QUICK, 5, 7, training=False)
-    model = PPO.load(save / "model.zip", device="cpu")
+    model = _resumed(QUICK.model_copy(update={"batch": 128}), venv, save)
+    assert model.num_timesteps == int(save.name)
     _restore_statistics(venv, json.loads((save / "statistics.json").read_text(encoding="utf-8")))
-    from owm.baselines.ppo.train import _export
-
     _export(model, venv, tmp_path / "policy", QUICK, {"step": 0, "validation/return": 0.0})
     config = venv.get_attr("config")[0]
     ours = PPOPolicy(tmp_path / "policy", config, 5, load_field())
@@ -149,5 +147,5 @@ def test_a_damaged_policy_is_refused(run, tmp_path):
     shutil.copytree(run[0] / "policy", tmp_path / "policy")
     (tmp_path / "policy" / "weights.safetensors").write_bytes(b"cut")
     config = load_config(fidelity="iss-hcw", steps_per_action=5)
-    with pytest.raises(CheckpointError, match=r"does not match config\.json"):
+    with pytest.raises(CheckpointError, match=r"weights\.safetensors is damaged"):
         load_policy(str(tmp_path / "policy"), config)

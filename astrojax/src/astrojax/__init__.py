@@ -14,7 +14,7 @@ def _refuse_foreign_distribution() -> None:
     raise ImportError(
         f"the distribution 'astrojax' {foreign.version} is installed beside 'outofthisworldmodel-astrojax'; "
         "both provide the import package 'astrojax', so their files overwrite each other. "
-        "Fix: pip uninstall astrojax, then reinstall outofthisworldmodel-astrojax"
+        "Fix: pip uninstall astrojax, then install ours again from its source, as the README says"
     )
 
 

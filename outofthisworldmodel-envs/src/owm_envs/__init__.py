@@ -5,9 +5,26 @@
 """
 
 import importlib
+from importlib import metadata as _metadata
 from typing import TYPE_CHECKING, Any
 
-from owm_envs.registration import DockingKeywords, make, make_vec, register_all
+
+def _refuse_foreign_distribution() -> None:
+    """Stop when a distribution of another project shares this import name."""
+    try:
+        foreign = _metadata.distribution("owm-envs")
+    except _metadata.PackageNotFoundError:
+        return
+    raise ImportError(
+        f"the distribution 'owm-envs' {foreign.version} is installed beside 'outofthisworldmodel-envs'; "
+        "both provide the import package 'owm_envs', so their files overwrite each other. "
+        "Fix: pip uninstall owm-envs, then install ours again from its source, as the README says"
+    )
+
+
+_refuse_foreign_distribution()
+
+from owm_envs.registration import DockingKeywords, make, make_vec, register_all  # noqa: E402  (after the check above)
 
 if TYPE_CHECKING:
     from owm_envs.config import DockingConfig, load_config

@@ -5,15 +5,16 @@ import os
 import numpy as np
 from jaxtyping import Float
 
+from owm_envs.files import write_atomically
+from owm_envs.words import install
+
 try:
     from matplotlib.axes import Axes
     from matplotlib.collections import PatchCollection
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 except ImportError as error:
-    raise ImportError(f"figures need matplotlib ({error}): pip install 'outofthisworldmodel-envs[plot]'") from error
-
-from owm_envs.files import write_atomically
+    raise ImportError(f"figures need matplotlib ({error}): {install('plot')}") from error
 
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444", "#8A6FBF")
 """Colours that the colour-blind can tell apart."""

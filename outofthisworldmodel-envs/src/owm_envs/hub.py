@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from owm_envs.claims import Claim
 from owm_envs.files import check_free, inner_path, output_folder, publish, published, remove, write_atomically
-from owm_envs.words import plain
+from owm_envs.words import install, plain
 
 Kind = Literal["dataset", "model"]
 SOURCE = "source.json"
@@ -348,9 +348,7 @@ def _client(name: str) -> Any:
     try:
         from huggingface_hub import HfApi, constants
     except ImportError as error:
-        raise ImportError(
-            f"{name!r} is no folder, and the hub needs its client: pip install 'outofthisworldmodel-envs[hub]'"
-        ) from error
+        raise ImportError(f"{name!r} is no folder, and the hub needs its client: {install('hub')}") from error
     if constants.HF_HUB_OFFLINE:
         raise Unreachable(name, "cannot be reached, because HF_HUB_OFFLINE is set")
     return HfApi(library_name="outofthisworldmodel")

@@ -1,4 +1,4 @@
-"""PettingZoo: `parallel_env` and `env` (need the extra `outofthisworldmodel-envs[pettingzoo]`)."""
+"""PettingZoo: `parallel_env` and `env` (need the extra `pettingzoo`)."""
 
 from owm_envs.adapters.pettingzoo import DockingParallelEnv, env, parallel_env, raw_env
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from owm_envs.files import write_atomically
+from owm_envs.words import install
 
 CODEC, QUALITY, KEY_FRAMES = "h264", 12, 10
 """As files name it; the constant rate factor of x264, lower is better; frames from one key frame to the next."""
@@ -29,7 +30,7 @@ def require_av() -> Any:
     try:
         import av
     except ImportError as error:
-        raise ImportError(f"films need PyAV ({error}): pip install 'outofthisworldmodel-envs[video]'") from error
+        raise ImportError(f"films need PyAV ({error}): {install('video')}") from error
     return av
 
 

@@ -60,6 +60,24 @@ def checked_seed(seed: Any, bits: int | None = None) -> int:
     return number
 
 
+_EXTRAS = {
+    "hub": ("huggingface-hub>=0.34",),
+    "mesh": ("trimesh>=4.5", "scipy>=1.13"),
+    "pettingzoo": ("pettingzoo>=1.24",),
+    "plot": ("matplotlib>=3.8",),
+    "rerun": ("rerun-sdk>=0.41", "trimesh>=4.5"),
+    "sb3": ("stable-baselines3>=2.6",),
+    "video": ("av>=12",),
+    "wandb": ("wandb>=0.19",),
+}
+"""What `pyproject.toml` says of the extras, here so that messages need not name ours: on an index they are not ours."""
+
+
+def install(extra: str) -> str:
+    """The command that installs what an extra brings."""
+    return "pip install " + " ".join(f'"{package}"' for package in _EXTRAS[extra])
+
+
 def plain(error: Exception) -> str:
     """What an error says, on one line; of a pydantic validation as `mistakes` does."""
     return mistakes(error) if hasattr(error, "errors") else " ".join(str(error).split())
@@ -108,7 +126,8 @@ def mistakes(error: Any, model: Any = None, unit: Callable[[tuple[str, ...]], st
             where = place and f"{place}{' ' if text != said else ': '}"
         else:
             said = re.sub(r"^(Input|\w+) should (?:be )?(?:a valid )?", "must be ", said)
-            where, text = (f"{place}: " if place else ""), _OURS.get(kind, said).format(**mistake.get("ctx", {}))
+            where = f"{place}: " if place else ""
+            text = _OURS[kind].format(**mistake.get("ctx", {})) if kind in _OURS else said
             if kind != "missing":
                 of = unit(tuple(part for part in mistake["loc"] if isinstance(part, str)))
                 came[where] = f", got {mistake['input']!r}" + (f" {of}" if of else "")

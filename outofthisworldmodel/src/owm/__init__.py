@@ -4,7 +4,24 @@ Members are imported when first asked for.
 """
 
 import importlib
+from importlib import metadata as _metadata
 from typing import TYPE_CHECKING, Any
+
+
+def _refuse_foreign_distribution() -> None:
+    """Stop when a distribution of another project shares this import name."""
+    try:
+        foreign = _metadata.distribution("owm")
+    except _metadata.PackageNotFoundError:
+        return
+    raise ImportError(
+        f"the distribution 'owm' {foreign.version} is installed beside 'outofthisworldmodel'; "
+        "both provide the import package 'owm', so their files overwrite each other. "
+        "Fix: pip uninstall owm, then install ours again from its source, as the README says"
+    )
+
+
+_refuse_foreign_distribution()
 
 if TYPE_CHECKING:
     from owm.baselines.least_squares import fit_least_squares

@@ -25,15 +25,13 @@ from owm_envs.station import port_index
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import Sensor
 from owm_envs.view import VIEW_SIZE
-from owm_envs.words import checked_seed, unknown
+from owm_envs.words import checked_seed, install, unknown
 
 try:
     from pettingzoo import AECEnv, ParallelEnv
     from pettingzoo.utils.conversions import parallel_to_aec
 except ImportError as error:
-    raise ImportError(
-        f"owm_envs.pettingzoo needs PettingZoo ({error}): pip install 'outofthisworldmodel-envs[pettingzoo]'"
-    ) from error
+    raise ImportError(f"owm_envs.pettingzoo needs PettingZoo ({error}): {install('pettingzoo')}") from error
 
 
 def parallel_env(

@@ -12,14 +12,12 @@ from owm_envs.adapters.parts import Shown, each
 from owm_envs.config import DockingConfig
 from owm_envs.registration import IDS
 from owm_envs.task.events import Outcome
-from owm_envs.words import checked_seed, unknown
+from owm_envs.words import checked_seed, install, unknown
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
-    raise ImportError(
-        f"owm_envs.sb3 needs Stable-Baselines3 ({error}): pip install 'outofthisworldmodel-envs[sb3]'"
-    ) from error
+    raise ImportError(f"owm_envs.sb3 needs Stable-Baselines3 ({error}): {install('sb3')}") from error
 
 _INFOS = ("ended", "all")
 _SHARED = ("config", "docking_env", "layout", "metadata", "render_mode", "spec", "traces")

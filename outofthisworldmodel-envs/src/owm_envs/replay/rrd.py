@@ -11,6 +11,7 @@ from owm_envs.replay.recording import CURVES, Recording
 from owm_envs.station import CHASER, PARTS, PORTS
 from owm_envs.station.mesh import UP, scene
 from owm_envs.view import View
+from owm_envs.words import install
 
 _TIME = "flight"
 _COLOURS = {"x": (255, 122, 114), "y": (123, 224, 138), "z": (111, 182, 255)}
@@ -27,9 +28,7 @@ def require_rerun() -> Any:
     try:
         import rerun
     except ImportError as error:
-        raise ImportError(
-            f"Rerun recordings need rerun-sdk ({error}): pip install 'outofthisworldmodel-envs[rerun]'"
-        ) from error
+        raise ImportError(f"Rerun recordings need rerun-sdk ({error}): {install('rerun')}") from error
     return rerun
 
 

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from owm_envs.station.boxes import Boxes, distance_to, emptiness, grid_around, merge, outer_samples
 from owm_envs.station.geometry import ROUND, rotation
 from owm_envs.station.primitives import MATERIALS, Part
+from owm_envs.words import install
 
 if TYPE_CHECKING:
     import trimesh
@@ -37,7 +38,7 @@ def _trimesh() -> Any:
     try:
         import trimesh
     except ImportError:
-        raise ImportError('meshes need trimesh: pip install "outofthisworldmodel-envs[mesh]"') from None
+        raise ImportError(f"meshes need trimesh: {install('mesh')}") from None
     return trimesh
 
 

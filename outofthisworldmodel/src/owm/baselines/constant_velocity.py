@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from owm.checkpoint import Contents
+from owm.checkpoint import Contents, fill
 from owm.interface import History
+from owm.model.config import Timing
 from owm.motion.kinematics import Motion, advance, to_motion, to_view
 from owm_envs.task.sensors import STATE
 
@@ -27,8 +28,9 @@ class ConstantVelocity:
 
     @classmethod
     def from_contents(cls, contents: Contents) -> "ConstantVelocity":
-        """The model that a checkpoint holds."""
-        return cls(**contents.config, name=contents.name)
+        """The model that a checkpoint holds. Raises CheckpointError, ValueError: it holds something else."""
+        nothing = fill((), {**contents.weights, **contents.statistics})
+        return cls(**dict(Timing.model_validate(contents.config, strict=True)), name=contents.name, params=nothing)
 
     def encode(self, params: tuple[()], history: History) -> Motion:
         """Start from the last measurement."""

@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 
 from jaxtyping import Array, Float, Key
 
-from owm.checkpoint import Contents, fill
+from owm.checkpoint import Contents, dtype_of, fill
 from owm.data.windows import Episodes
 from owm.interface import History
+from owm.model.config import Timing
 from owm.motion.kinematics import Motion, to_motion, to_view
 from owm.motion.linear import LinearMap, fit_linear_map, linear_advance
 from owm_envs.task.sensors import STATE
@@ -28,10 +29,11 @@ class LeastSquares:
 
     @classmethod
     def from_contents(cls, contents: Contents) -> "LeastSquares":
-        """The model that a checkpoint holds. Raises CheckpointError: the weights don't fit."""
-        tensors = contents.weights
-        params = fill(LinearMap.skeleton(tensors["action"].dtype), tensors)
-        return cls(params, **contents.config, name=contents.name)
+        """The model that a checkpoint holds. Raises CheckpointError, ValueError: configuration or weights don't fit."""
+        timing = Timing.model_validate(contents.config, strict=True)
+        fill((), contents.statistics)
+        params = fill(LinearMap.skeleton(dtype_of(contents.weights)), contents.weights)
+        return cls(params, **dict(timing), name=contents.name)
 
     def encode(self, params: LinearMap, history: History) -> Motion:
         """Start from the last measurement."""

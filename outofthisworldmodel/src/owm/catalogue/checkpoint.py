@@ -2,16 +2,12 @@
 
 import os
 
-from owm.baselines.constant_velocity import ConstantVelocity
-from owm.baselines.least_squares import LeastSquares
 from owm.catalogue.hub import checkpoint_folder
-from owm.checkpoint import CheckpointError, Contents, read_checkpoint
+from owm.catalogue.kinds import WORLD_MODELS, make
+from owm.checkpoint import Contents, read_checkpoint
 from owm.interface import WorldModel
 from owm.model.config import ModelConfig
 from owm.model.world_model import LearnedWorldModel
-
-_MODELS = {"learned": LearnedWorldModel, "least_squares": LeastSquares, "constant_velocity": ConstantVelocity}
-"""Who reads which kind of checkpoint."""
 
 
 def load_world_model(path: str | os.PathLike, *, expect: ModelConfig | None = None) -> WorldModel:
@@ -27,11 +23,9 @@ def load_world_model(path: str | os.PathLike, *, expect: ModelConfig | None = No
         CheckpointError: as `owm.checkpoint.read_checkpoint`, or the kind of model is unknown.
     """
 
-    def make(contents: Contents) -> WorldModel:
+    def made(contents: Contents) -> WorldModel:
         if expect is not None:
             return LearnedWorldModel.from_contents(contents, expect)
-        if contents.kind not in _MODELS:
-            raise CheckpointError(f"unknown kind {contents.kind!r}, expected {', '.join(_MODELS)}")
-        return _MODELS[contents.kind].from_contents(contents)
+        return make(contents, WORLD_MODELS)
 
-    return read_checkpoint(checkpoint_folder(path), make)
+    return read_checkpoint(checkpoint_folder(path), made)

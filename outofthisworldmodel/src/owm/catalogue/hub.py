@@ -1,20 +1,17 @@
 """Checkpoints on the Hugging Face hub: three files of numbers and text, nothing that executes."""
 
-import json
 import os
 import re
 from collections.abc import Iterable
-from hashlib import sha256
 from pathlib import Path
 
 from owm.catalogue.card import model_card
-from owm.checkpoint import CheckpointError, NoCheckpointError
+from owm.catalogue.kinds import check
+from owm.checkpoint import FILES, HEADER, CheckpointError, NoCheckpointError
 from owm_envs import hub
 from owm_envs.hub import Repository
 from owm_envs.words import unknown
 
-CONTENTS = ("config.json", "statistics.json", "weights.safetensors")
-"""The files of a checkpoint."""
 CARD = "README.md"
 """Comes along; whatever else a repository holds is not fetched."""
 PRETRAINED = Path(__file__).parents[1] / "pretrained"
@@ -36,7 +33,7 @@ def checkpoint_folder(source: str | os.PathLike, what: str = "world model", name
     """
     folder, text = local_folder(source), os.fspath(source)
     places = (folder, folder / "model", folder / "policy")
-    found = next((place for place in places if (place / "config.json").is_file()), None)
+    found = next((place for place in places if (place / HEADER).is_file()), None)
     if found is None and not folder.exists() and re.fullmatch(r"[\w-]+", text):
         known = (*names, PRETRAINED.name)
         raise ValueError(unknown(what, text, known) + ", the folder of a checkpoint, or user/name on the hub")
@@ -61,7 +58,7 @@ def local_folder(source: str | os.PathLike) -> Path:
     if named is None:
         return Path(source)
     try:
-        return hub.fetch(*named, kind="model", only=(*CONTENTS, CARD)).folder
+        return hub.fetch(*named, kind="model", only=(*FILES, CARD)).folder
     except hub.HubError as error:
         raise NoCheckpointError(source, f"neither a folder nor found on the hub, which {error.reason}") from error
 
@@ -84,10 +81,10 @@ def download(source: str, out: str | os.PathLike, revision: str | None = None) -
         NoRepository, Unreachable, HubError, ImportError, OSError: as `owm_envs.hub.fetch` and `deliver`.
     """
     name, _, at = source.partition("@")
-    fetched = hub.fetch(hub.checked_name(name), at or revision, kind="model", only=(*CONTENTS, CARD))
-    checked_header(fetched.folder)
+    fetched = hub.fetch(hub.checked_name(name), at or revision, kind="model", only=(*FILES, CARD))
+    check(fetched.folder)
     contents = {file.name: file for file in fetched.folder.iterdir() if file.name != hub.SOURCE}
-    hub.deliver(contents, out, "model", {name: fetched.commit}, checked_header)
+    hub.deliver(contents, out, "model", {name: fetched.commit}, check)
     return fetched.commit
 
 
@@ -108,29 +105,7 @@ def repository(source: str | os.PathLike, name: str) -> Repository:
         if not (Path(source) / "run.json").is_file():
             raise
         raise CheckpointError(f"{source} has no model yet: the same `owm train` again finishes it") from None
-    header = checked_header(folder)
-    files: dict[str, Path | bytes] = {each: folder / each for each in CONTENTS if (folder / each).is_file()}
+    header = check(folder)
+    files: dict[str, Path | bytes] = {each: folder / each for each in FILES if (folder / each).is_file()}
     files[CARD] = model_card(header, hub.checked_name(name), folder.parent / "metrics.jsonl").encode()
-    return Repository(name, "model", files, f"Checkpoint of a {header['kind']} model")
-
-
-def checked_header(folder: Path) -> dict:
-    """The `config.json` of a checkpoint of any kind, once the other files are known to be those that it tells of.
-
-    Raises:
-        CheckpointError: there is none, or a file is missing or damaged.
-    """
-    if not (folder / "config.json").is_file():
-        raise NoCheckpointError(folder)
-    try:
-        header = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-        told, _, _ = header["sha256"], header["kind"], header["format"]
-        digests = told if isinstance(told, dict) else {"weights.safetensors": told}
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{folder / 'config.json'} is no checkpoint's: {error!r}") from None
-    for name in CONTENTS[1:]:
-        if name in digests and not (folder / name).is_file():
-            raise CheckpointError(f"{folder} is incomplete: {name} is missing")
-        if name in digests and sha256((folder / name).read_bytes()).hexdigest() != digests[name]:
-            raise CheckpointError(f"{folder / name} does not match config.json: damaged, or from another checkpoint")
-    return header
+    return Repository(name, "model", files, f"Checkpoint of a {header.kind} model")

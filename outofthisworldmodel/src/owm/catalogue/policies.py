@@ -2,7 +2,6 @@
 
 import importlib
 import inspect
-import json
 import os
 import re
 import sys
@@ -12,8 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from owm.catalogue import hub
+from owm.catalogue.kinds import check
+from owm.checkpoint import FILES, About, read_header
 from owm_envs.config import DockingConfig
-from owm_envs.hub import SOURCE
 from owm_envs.words import checked_seed, unknown
 
 
@@ -146,7 +146,8 @@ def kind_of(policy: str) -> str:
     """The key of `GIVEN` that a name or path belongs to.
 
     Raises:
-        ValueError: neither a known name (naming the nearest) nor the checkpoint of a model to plan with.
+        ValueError: neither a known name (naming the nearest) nor the checkpoint of a model to plan with, or a damaged
+            one.
         FileNotFoundError: a path at which there is nothing.
     """
     if policy in NAMES:
@@ -161,16 +162,12 @@ def kind_of(policy: str) -> str:
     if _OWN.fullmatch(policy):
         own_class(policy)
         return "user's own"
-    header = checkpoint_folder(policy) / "config.json"
-    try:
-        found = json.loads(header.read_text(encoding="utf-8"))
-        kind = found["kind"]
-        if kind == "ppo":
-            return "ppo-field" if found["about"]["observe_field"] else "ppo"
-        if kind == "learned" and found.get("config", {}).get("stream") == "latent":
-            kind = "latent"
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ValueError(f"{policy!r} is not a checkpoint: it has no readable config.json") from None
+    header = read_header(checkpoint_folder(policy))
+    kind = header.kind
+    if kind == "ppo":
+        return "ppo-field" if header.config.get("observe_field") is True else "ppo"
+    if kind == "learned" and header.config.get("stream") == "latent":
+        kind = "latent"
     if kind not in _KINDS:
         raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
     return _KINDS[kind]
@@ -195,10 +192,10 @@ def content_digest(source: str) -> str:
     path = source.removeprefix(ONLINE_PREFIX)
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
-    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-        if file.name in (hub.CARD, SOURCE):  # tell of the checkpoint, and are no part of it
-            continue
-        sha.update(file.relative_to(folder).as_posix().encode() + file.read_bytes())
+    check(folder)
+    for name in sorted(FILES):
+        if (folder / name).is_file():
+            sha.update(name.encode() + (folder / name).read_bytes())
     return sha.hexdigest()[:16]
 
 
@@ -267,11 +264,12 @@ def load_policy(
     return made
 
 
-def differences(header: dict[str, Any], config: DockingConfig) -> list[str]:
-    """How what a checkpoint was trained on differs from the environment, where its `config.json` tells."""
+def differences(about: About, config: DockingConfig) -> list[str]:
+    """How what a checkpoint was trained on differs from the environment, where it tells."""
     told = []
     for part in ("fidelity", "noise"):
-        seen = [facts[part] for facts in header.get("about", {}).get("corpus", []) if part in facts]
+        facts = (corpus.model_dump(exclude_unset=True).get(part) for corpus in about.corpus)
+        seen = [each for each in facts if each is not None]
         now = config.model_dump(mode="json")[part]
         if seen and now not in seen:
             told.append(f"was trained on other {part} than it flies in: {_short(seen)}; now {_short([now])}")
@@ -293,7 +291,7 @@ def read_model(folder: Path, name: str, config: DockingConfig) -> Any:
     from owm.console import announce
 
     model = load_world_model(folder)
-    for text in differences(json.loads((folder / "config.json").read_text(encoding="utf-8")), config):
+    for text in differences(read_header(folder).about, config):
         announce(f"note: {name} {text}")
     return model
 

@@ -39,6 +39,7 @@ from owm_envs.episode import Episode
 from owm_envs.figures import save_figure
 from owm_envs.files import output_folder, slug
 from owm_envs.station import PORT_NAMES
+from owm_envs.words import install
 
 if TYPE_CHECKING:
     from owm_envs.camera.lens import Camera
@@ -55,7 +56,7 @@ def train(data: Sequence[Path], out: Path, config: TrainConfig, wandb: str | Non
         FolderTaken: `out` holds another run or something else.
     """
     if wandb is not None and find_spec("wandb") is None:
-        raise ValueError("--wandb needs Weights & Biases: pip install 'outofthisworldmodel[wandb]'")
+        raise ValueError(f"--wandb needs Weights & Biases: {install('wandb')}")
     from owm.training.loop import train as run
 
     Claim(out, {"config": config.model_dump(mode="json")})  # refused now, not after the data have been read
@@ -82,7 +83,7 @@ def train_ppo(out: Path, config: PPOConfig) -> None:
     try:
         import stable_baselines3  # noqa: F401
     except ImportError as error:
-        raise ValueError(f"train-ppo needs ({error}): pip install 'outofthisworldmodel[ppo]'") from error
+        raise ValueError(f"train-ppo needs ({error}): {install('sb3')}") from error
     from owm.baselines.ppo.train import train_ppo as run
 
     announce("compiling the simulator ...")

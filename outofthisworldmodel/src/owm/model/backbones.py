@@ -110,8 +110,13 @@ class FeedForward(eqx.Module):
 
 
 def _transformer_size(config: ModelConfig) -> int:
-    made = eqx.filter_eval_shape(lambda: Backbone(config, jnp.float32, key=jax.random.key(0)))
-    return sum(leaf.size for leaf in jax.tree.leaves(made))
+    def size(blocks: int) -> int:
+        few = config.model_copy(update={"blocks": blocks})
+        made = eqx.filter_eval_shape(lambda: Backbone(few, jnp.float32, key=jax.random.key(0)))
+        return sum(leaf.size for leaf in jax.tree.leaves(made))
+
+    one, two = size(1), size(2)
+    return one + (config.blocks - 1) * (two - one)
 
 
 def _root(a: float, b: float, c: float) -> int:

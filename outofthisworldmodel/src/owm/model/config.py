@@ -1,10 +1,23 @@
 """What shapes a world model: a frozen, validated configuration and its presets."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import NonNegativeInt, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, model_validator
 
 from owm_envs.config.parts import Frozen
+
+Measurements = Annotated[int, Field(ge=1, le=1024)]
+Seconds = Annotated[float, Field(ge=1e-3, le=60.0)]
+Layers = Annotated[int, Field(ge=1, le=64)]
+Width = Annotated[int, Field(ge=1, le=8192)]
+Heads = Annotated[int, Field(ge=1, le=256)]
+
+
+class Timing(Frozen):
+    """How a model without a network counts time."""
+
+    history_length: Measurements
+    dt: Seconds
 
 
 class ModelConfig(Frozen):
@@ -18,30 +31,30 @@ class ModelConfig(Frozen):
     trained like all other weights, or nothing."""
     backbone: Literal["transformer", "gru", "mlp"] = "transformer"
     """What relates the tokens of a history: attention, or a recurrent or a feed-forward network of the same size."""
-    dt: PositiveFloat = 0.25
+    dt: Seconds = 0.25
     """Seconds a step."""
-    history_length: PositiveInt = 8
+    history_length: Measurements = 8
     """`H`: most measurements a prediction starts from."""
-    width: PositiveInt = 32
+    width: Width = 32
     """Token dimension."""
-    blocks: PositiveInt = 1
+    blocks: Layers = 1
     """Space-time blocks."""
-    heads: PositiveInt = 4
+    heads: Heads = 4
     """Attention heads."""
-    window: PositiveInt = 8
+    window: Annotated[int, Field(ge=1, le=512)] = 8
     """Steps that attention or the feed-forward network reach back, the current one included."""
-    mlp_ratio: PositiveInt = 2
+    mlp_ratio: Annotated[int, Field(ge=1, le=16)] = 2
     """Hidden width of a block's MLP, in token dimensions."""
-    head_width: PositiveInt = 32
+    head_width: Width = 32
     """Width of the flow head, at most `width`."""
-    head_blocks: PositiveInt = 1
+    head_blocks: Layers = 1
     """Residual MLPs in the flow head."""
-    head_heads: NonNegativeInt = 0
+    head_heads: Annotated[int, Field(ge=0, le=256)] = 0
     """Attention heads with which each of them lets the tokens of a step see each other; with 0 a token is by itself."""
     head: Literal["flow", "velocity", "mean-flow"] = "mean-flow"
     """What the head learns: the plain rectified flow by its clean end or by its velocity, or a mean flow, whose single
     evaluations are samples (`FlowHead`)."""
-    head_steps: PositiveInt = 1
+    head_steps: Annotated[int, Field(ge=1, le=64)] = 1
     """Evaluations of the head that a sample takes."""
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
 """The learned world model: tokens, backbone, flow head and a stream, behind the interface of `owm.interface`."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PyTree
 
-from owm.checkpoint import CheckpointError, Contents, fill
+from owm.checkpoint import CheckpointError, Contents, dtype_of, fill
 from owm.interface import History
 from owm.model.backbones import BACKBONES, SequenceModel
 from owm.model.config import ModelConfig
@@ -21,6 +22,9 @@ from owm_envs.task.sensors import STATE
 
 RENAMED = {"skip": "base_dynamics", "rise": "up", "fall": "down", "kind": "token_type"}
 """What older checkpoints call fields of their configuration and parts of the paths of their weights."""
+
+_STACKS = {"backbone.blocks.": "blocks", "backbone.layers.": "blocks", "head.layers.": "head_blocks"}
+"""Layers by the beginning of their weights' paths, and the field that says how many there are."""
 
 
 class Network(eqx.Module):
@@ -100,18 +104,20 @@ class LearnedWorldModel:
         """
         if contents.kind != "learned":
             raise CheckpointError(f"expected a learned model, found {contents.kind!r}")
-        config = ModelConfig.model_validate({RENAMED.get(k, k): v for k, v in contents.config.items()})
+        named = {RENAMED.get(k, k): v for k, v in contents.config.items()}
+        if len(named) < len(contents.config):
+            raise CheckpointError(f"config names fields twice, as now and as before: {', '.join(contents.config)}")
+        config = ModelConfig.model_validate(named, strict=True)
         if expect is not None and config != expect:
             wrong = [k for k in ModelConfig.model_fields if getattr(config, k) != getattr(expect, k)]
             details = ", ".join(f"{k}={getattr(config, k)!r} where {getattr(expect, k)!r} is expected" for k in wrong)
             raise CheckpointError(f"another configuration: {details}")
-        if not contents.weights:
-            raise CheckpointError("weights.safetensors holds no weights")
-        dtype = next(iter(contents.weights.values())).dtype
+        dtype = dtype_of(contents.weights)
+        weights = {".".join(RENAMED.get(k, k) for k in path.split(".")): v for path, v in contents.weights.items()}
+        _check_depth(config, weights)
         skeleton = eqx.filter_eval_shape(lambda: Network(config, key=jax.random.key(0), dtype=dtype))
         numbers = {k: np.asarray(v, dtype) for k, v in contents.statistics.items()}
         statistics = fill(STREAMS[config.stream].skeleton(dtype), numbers)
-        weights = {".".join(RENAMED.get(k, k) for k in path.split(".")): v for path, v in contents.weights.items()}
         return cls(config, Params(fill(skeleton, weights), statistics), contents.name)
 
     @own_promotion()
@@ -165,6 +171,14 @@ class LearnedWorldModel:
     def decode(self, params: Params, state: ModelState) -> dict[str, Array]:
         """Read a state out as `{"state": view}` in the station frame."""
         return params.network.stream.decode(params.statistics, state.carry)
+
+
+def _check_depth(config: ModelConfig, names: Iterable[str]) -> None:
+    """Refuse weights of another number of layers, before a network of so many is laid out."""
+    found = {key: len({name.split(".")[2] for name in names if name.startswith(key)}) for key in _STACKS}
+    for key, name in _STACKS.items():
+        if found[key] not in (0, getattr(config, name)):
+            raise CheckpointError(f"config has {name}={getattr(config, name)}, the weights {found[key]}")
 
 
 def _cast(params: Params, tree: Any) -> Any:

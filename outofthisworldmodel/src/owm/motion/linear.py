@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from owm.checkpoint import Within
 from owm.data.windows import Episodes
 from owm.motion.kinematics import (
     Motion,
@@ -50,7 +51,9 @@ class LinearMap(NamedTuple):
     @classmethod
     def skeleton(cls, dtype: jnp.dtype) -> "LinearMap":
         """Return the shapes."""
-        return cls(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((6, 6), (6,), (3, 6), (3, 15))))
+        # Generous: a step of a second moves a craft of a hundred grams by 10 m/s for each newton.
+        pushed = (Within(shape, dtype, -10.0, 10.0) for shape in ((6, 6), (6,)))
+        return cls(*pushed, *(jax.ShapeDtypeStruct(shape, dtype) for shape in ((3, 6), (3, 15))))
 
 
 def rate_products(rate: Float[Array, "3"], turn: Float[Array, "3 3"]) -> Float[Array, "15"]:

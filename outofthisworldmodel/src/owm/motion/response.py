@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from owm.checkpoint import LARGEST, Within
 from owm.data.windows import Episodes
 from owm.motion.kinematics import Motion, advance, apply, to_motion
 from owm.motion.linear import LinearMap, linear_increment
@@ -25,6 +26,7 @@ from owm.motion.track import (
     MEMORY,
     PRIOR_COUNT,
     Filter,
+    FilterStatistics,
     choose_process,
     displace,
     displacement,
@@ -66,7 +68,7 @@ class VehicleStatistics(NamedTuple):
     @classmethod
     def skeleton(cls, dtype: jnp.dtype) -> "VehicleStatistics":
         """Return the shapes."""
-        return cls(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((4,), (4,), (12,), (6, 16))))
+        return cls(*FilterStatistics.skeleton(dtype), Within((6, 16), dtype, 0.0, LARGEST))
 
 
 class Response(NamedTuple):

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_to_rotation_vector
+from owm.checkpoint import LARGEST, Within, positive
 from owm.data.windows import Episodes
 from owm.motion.kinematics import Motion, advance, apply, apply_inverse, multiply, rotation, to_motion
 from owm.motion.linear import LinearMap, linear_increment
@@ -49,7 +50,7 @@ class FilterStatistics(NamedTuple):
     @classmethod
     def skeleton(cls, dtype: jnp.dtype) -> "FilterStatistics":
         """Return the shapes."""
-        return cls(*(jax.ShapeDtypeStruct(shape, dtype) for shape in ((4,), (4,), (12,))))
+        return cls(Within((4,), dtype, 0.0, LARGEST), positive((4,), dtype, 1e-20), positive((12,), dtype))
 
 
 class Track(NamedTuple):

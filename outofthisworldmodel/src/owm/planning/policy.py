@@ -26,6 +26,9 @@ from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import checked_seed
 
+_TRIES = 8
+"""Replans after which a model that has not predicted a finite view is given up."""
+
 
 class Learner(Protocol):
     """Parameters of a model that follow what a flight shows of them: pure functions of one slot, hashable."""
@@ -110,6 +113,7 @@ class PlannerPolicy(SlotPolicy):
         self.model = model
         self.config = PlannerConfig() if config is None else config
         self.seconds: list[float] = []
+        self._predicts = False
         self._learner = learner
         self._seed = np.uint32(checked_seed(seed, bits=32))
         self._wide = getattr(model, "precision", "float32") == "float64"
@@ -153,7 +157,7 @@ class PlannerPolicy(SlotPolicy):
         """The next wrench of each slot's chunk, planned anew where that is used up.
 
         Raises:
-            ValueError: an active slot's view is not finite.
+            ValueError: an active slot's view is not finite, or no view that the model has predicted so far.
         """
         view = self.layout.measured_view(observation).astype(np.float32)
         broken = slots.active & ~np.isfinite(view).all(axis=1)
@@ -237,6 +241,9 @@ class PlannerPolicy(SlotPolicy):
         first = [one(slot) for slot in due[: not self.seconds]]
         outputs = [*first, *workers().map(one, due[len(first) :])]
         wrenches, planners = jax.tree.map(lambda *rows: np.stack(rows), *outputs)
+        self._predicts |= bool(planners.started.any())
+        if not self._predicts and len(self.seconds) >= _TRIES:
+            raise ValueError(f"the model {self.model.name!r} predicts no finite view: its numbers mean nothing")
 
         def put(old, new):
             old = old.copy()

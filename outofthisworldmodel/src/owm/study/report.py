@@ -16,6 +16,7 @@ from jaxtyping import Int
 
 from owm import __version__
 from owm.catalogue.policies import GIVEN, GIVEN_COLUMNS, Given, checkpoint_folder, kind_of
+from owm.checkpoint import read_header
 from owm.report.page import Block, Picture, Table, bullets, code, write_report
 from owm.report.paper import DIFFERENCES, NOT_ALIKE, PLANNER_BY_PORT, PPO_BY_PORT, paper_table
 from owm.report.plots import port_figure, speed_figure, tolerance_figure, trajectory_figure
@@ -215,8 +216,8 @@ def given_of(matrix: Matrix, key: Key) -> Given:
     kind = kind_of(source)
     given = GIVEN[kind]
     if kind.endswith("world model"):
-        about = json.loads((checkpoint_folder(source) / "config.json").read_text(encoding="utf-8"))["config"]
-        given = given._replace(motion=f"{given.motion} ({about['stream']} stream, {about['backbone']})")
+        config = read_header(checkpoint_folder(source)).config
+        given = given._replace(motion=f"{given.motion} ({config.get('stream')} stream, {config.get('backbone')})")
     if "plain" in planner or "straight" in planner:
         given = given._replace(hull="clearance only, no field")
     if "no corrector" in planner:

@@ -1,6 +1,5 @@
 """Training from episodes to a published world model, resumable at any moment."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import orbax.checkpoint as ocp
 from jax.sharding import Mesh
 from rich.console import Console
 
-from owm.checkpoint import CheckpointError, check_finite, read_checkpoint, save_world_model
+from owm.checkpoint import CheckpointError, check_finite, read_checkpoint, read_header, save_world_model
 from owm.data.windows import Episodes, Windows
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Params
@@ -96,8 +95,8 @@ def train(
     metrics_file = out / "metrics.jsonl"
     if found and (out / "model").exists():
         model = read_checkpoint(out / "model", partial(LearnedWorldModel.from_contents, expect=config.model))
-        said = json.loads((out / "model" / "config.json").read_text(encoding="utf-8"))["about"]
-        return TrainResult(model, said["score"], said["step"], out / "model", metrics_file)
+        said = read_header(out / "model").about
+        return TrainResult(model, said.score, said.step, out / "model", metrics_file)
 
     console = Console() if console is None else console
     devices = _devices(found["devices"] if found else config.devices)

@@ -1,28 +1,26 @@
 """A trained PPO policy as numbers: written, read and flown without Stable-Baselines3, nothing pickled."""
 
-import json
 import os
+from collections.abc import Mapping
 from dataclasses import replace
-from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from safetensors import SafetensorError
-from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save as save_tensors
 
 from owm.baselines.ppo.features import FEATURES, with_field
-from owm.checkpoint import CheckpointError, check_finite, write_checkpoint
+from owm.checkpoint import LARGEST, CheckpointError, Contents, Within, fill, read_checkpoint, write_checkpoint
 from owm_envs.config import DockingConfig
+from owm_envs.config.parts import Frozen
 from owm_envs.env import DockingEnv
 from owm_envs.field import GeodesicField
 from owm_envs.policies import SlotPolicy, Slots
 from owm_envs.task.sensors import STATE
 
-FORMAT = 1
+ACTIONS = 6
 DECISION = 1.0
 """Seconds that PPO's actions are held, in training and in flight."""
 _CLIP = 10.0
@@ -30,18 +28,32 @@ _EPSILON = 1e-8
 """As `VecNormalize` has them."""
 
 
-def save_policy(folder: Path, weights: dict[str, np.ndarray], about: dict[str, Any]) -> None:
+class Observed(Frozen):
+    """What a policy looks at."""
+
+    env: str
+    """Fidelity of the simulation that it was trained in."""
+    observe_field: bool
+    """Whether the geodesic field at the measured position too."""
+    observation: list[str]
+    """Names of the other numbers."""
+
+
+def save_policy(folder: Path, weights: dict[str, np.ndarray], observed: Observed, about: dict[str, Any]) -> None:
     """Write a policy, whole or not at all.
 
     Args:
         folder: to write or replace.
         weights: `weight.i` (outputs, inputs) and `bias.i` of each layer, `mean` and `variance` of the observation.
-        about: JSON-able facts; `observation`, the names of its numbers, and `observe_field` are needed.
+        observed: what it looks at.
+        about: JSON-able facts.
+
+    Raises:
+        CheckpointError: the weights don't fit together, or a number is not finite.
     """
-    check_finite(weights)
-    data = save_tensors({name: np.ascontiguousarray(array, np.float32) for name, array in weights.items()})
-    header = {"format": FORMAT, "kind": "ppo", "sha256": sha256(data).hexdigest(), "about": about}
-    write_checkpoint(folder, header, {"weights.safetensors": data})
+    weights = {name: np.ascontiguousarray(array, np.float32) for name, array in weights.items()}
+    fill(_layout(observed, weights), weights)
+    write_checkpoint(folder, Contents("ppo", "PPO", observed.model_dump(), weights), about)
 
 
 class HeldActions(NamedTuple):
@@ -73,19 +85,19 @@ class PPOPolicy(SlotPolicy):
         num_slots: int = 1,
         field: GeodesicField | None = None,
     ):
-        self.about, weights = _read(Path(folder))
+        observed, weights = read_checkpoint(folder, read_policy)
         self._layers = [(weights[f"weight.{i}"].T, weights[f"bias.{i}"]) for i in range(len(weights) // 2 - 1)]
         self._mean, self._deviation = weights["mean"], np.sqrt(weights["variance"] + _EPSILON)
         layout = DockingEnv(config).layout
-        super().__init__("PPO, observing the field" if self.about["observe_field"] else "PPO", layout, num_slots)
-        if list(layout.names) != self.about["observation"]:
+        super().__init__("PPO, observing the field" if observed.observe_field else "PPO", layout, num_slots)
+        if list(layout.names) != observed.observation:
             raise ValueError(
-                f"the policy observes {len(self.about['observation'])} numbers, those of {self.about['env']!r} with "
+                f"the policy observes {len(observed.observation)} numbers, those of {observed.env!r} with "
                 f"goal errors; the environment shows {layout.size}"
             )
-        if self.about["observe_field"] and field is None:
+        if observed.observe_field and field is None:
             raise ValueError("field must be given: the policy observes it")
-        self._field = jax.device_put(field) if self.about["observe_field"] else None
+        self._field = jax.device_put(field) if observed.observe_field else None
         self._hold = round(DECISION / config.decision_dt)
         if self._hold < 1 or abs(self._hold * config.decision_dt - DECISION) > 1e-6:
             raise ValueError(f"decision_dt must divide {DECISION} s, which actions are held; got {config.decision_dt}")
@@ -121,23 +133,28 @@ class PPOPolicy(SlotPolicy):
         return np.clip(x @ weight + bias, -1.0, 1.0).astype(np.float32)
 
 
-def _read(folder: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    try:
-        header = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-        data = (folder / "weights.safetensors").read_bytes()
-        if header["format"] != FORMAT or header["kind"] != "ppo":
-            raise CheckpointError(
-                f"{folder} holds {header['kind']!r} of format {header['format']}, not 'ppo' of {FORMAT}"
-            )
-        if sha256(data).hexdigest() != header["sha256"]:
-            raise CheckpointError(f"{folder / 'weights.safetensors'} does not match config.json")
-        about, weights = header["about"], load_tensors(data)
-        check_finite(weights)
-        size = len(about["observation"]) + FEATURES * about["observe_field"]
-        if weights["mean"].shape != (size,) or weights["weight.0"].shape[1] != size:
-            raise CheckpointError(f"{folder} observes {size} numbers, its weights {weights['mean'].shape}")
-    except CheckpointError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
-        raise CheckpointError(f"{folder} is no policy that can be read: {error!r}") from error
-    return about, weights
+def read_policy(contents: Contents) -> tuple[Observed, dict[str, np.ndarray]]:
+    """What a policy looks at, and its weights. Raises CheckpointError, ValueError: they don't fit together."""
+    if contents.kind != "ppo":
+        raise CheckpointError(f"expected a policy of kind 'ppo', found {contents.kind!r}")
+    observed = Observed.model_validate(contents.config, strict=True)
+    fill((), contents.statistics)
+    return observed, jax.device_get(fill(_layout(observed, contents.weights), contents.weights))
+
+
+def _layout(observed: Observed, weights: Mapping[str, Any]) -> dict[str, jax.ShapeDtypeStruct]:
+    """What the weights must be: layers as wide as their biases, from the observation to six actions."""
+    layers = sum(name.startswith("weight.") for name in weights)
+    if not layers:
+        raise CheckpointError("weights.safetensors holds no layers")
+    inside = [getattr(weights.get(f"bias.{i}"), "shape", ()) for i in range(layers - 1)]
+    size = len(observed.observation) + FEATURES * observed.observe_field
+    widths = [size, *(shape[0] if shape else 0 for shape in inside), ACTIONS]
+    layout: dict[str, jax.ShapeDtypeStruct] = {
+        "mean": Within((size,), np.float32, -LARGEST, LARGEST),
+        "variance": Within((size,), np.float32, 0.0, LARGEST),
+    }
+    for i, (inputs, outputs) in enumerate(pairwise(widths)):
+        layout[f"weight.{i}"] = jax.ShapeDtypeStruct((outputs, inputs), np.float32)
+        layout[f"bias.{i}"] = jax.ShapeDtypeStruct((outputs,), np.float32)
+    return layout

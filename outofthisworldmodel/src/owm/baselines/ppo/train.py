@@ -16,7 +16,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
 from owm.baselines.ppo.config import PPOConfig
-from owm.baselines.ppo.policy import save_policy
+from owm.baselines.ppo.policy import Observed, save_policy
 from owm.baselines.ppo.vec_env import make_env
 from owm.training.metrics import Metrics
 from owm_envs.claims import Claim
@@ -25,13 +25,14 @@ from owm_envs.station import TRAIN_PORTS
 
 _VALIDATION_SEED = 2**41
 """Starts that neither training nor any evaluation flies."""
+_PARAMETERS = "parameters.pt"
 _CURVE = ("step", "seconds", "steps_per_second", "train/return", "validation/return", "validation/docked")
 
 
 def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> dict[str, Any]:
     """Train to `config.steps`, or go on from the latest save; the best policy by validation return is `out/policy`.
 
-    `out` also holds `state/STEP` (Stable-Baselines3's own file and the running statistics), `metrics.jsonl`,
+    `out` also holds `state/STEP` (weights, the optimiser's numbers and the running statistics), `metrics.jsonl`,
     `tensorboard/`, and the learning curve as `curve.csv` and `curve.png`. Unlike a world model's, a resumed run is not
     the uninterrupted one bit for bit: episodes in flight at the kill start anew.
 
@@ -57,7 +58,7 @@ def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> d
     trial = make_env(config, config.validation_episodes, _VALIDATION_SEED, training=False)
     trial.obs_rms = venv.obs_rms
     if saves:
-        model = PPO.load(saves[-1] / "model.zip", env=venv, device="cpu")
+        model = _resumed(config, venv, saves[-1])
         _restore_statistics(venv, json.loads((saves[-1] / "statistics.json").read_text(encoding="utf-8")))
         trial.obs_rms = venv.obs_rms
         set_random_seed(config.seed + step)
@@ -123,6 +124,14 @@ def _new_model(config: PPOConfig, venv: VecNormalize) -> PPO:
     )
 
 
+def _resumed(config: PPOConfig, venv: VecNormalize, save: Path) -> PPO:
+    """The model of a save, of which nothing but numbers is read: Stable-Baselines3's own files may hold code."""
+    model = _new_model(config, venv)
+    model.set_parameters(torch.load(save / _PARAMETERS, map_location="cpu", weights_only=True), device="cpu")
+    model.num_timesteps = int(save.name)
+    return model
+
+
 def _validate(model: PPO, trial: VecNormalize) -> dict[str, float]:
     """Fly the fixed starts with the mean action: mean return, share docked and collided, median closest approach."""
     ports = np.resize(TRAIN_PORTS, trial.num_envs)
@@ -150,24 +159,23 @@ def _export(model: PPO, venv: VecNormalize, folder: Path, config: PPOConfig, lin
     for i, layer in enumerate([*linear, model.policy.action_net]):
         weights[f"weight.{i}"] = layer.weight.detach().cpu().numpy()
         weights[f"bias.{i}"] = layer.bias.detach().cpu().numpy()
+    observation = list(venv.get_attr("layout")[0].names)
+    observed = Observed(env=config.env, observe_field=config.observe_field, observation=observation)
     about = {
-        "env": config.env,
         "noise": config.noise,
-        "observe_field": config.observe_field,
-        "observation": list(venv.get_attr("layout")[0].names),
         "step": line["step"],
         "validation_return": line["validation/return"],
         "run": config.model_dump(mode="json"),
     }
-    save_policy(folder, weights, about)
+    save_policy(folder, weights, observed, about)
 
 
 def _save(model: PPO, venv: VecNormalize, folder: Path) -> None:
     """Keep what the run goes on from; the folder named by the step is whole or not there."""
     file, done = io.BytesIO(), folder / str(model.num_timesteps)
-    model.save(file)
+    torch.save(model.get_parameters(), file)
     replace_folder(
-        done, {"model.zip": file.getvalue(), "statistics.json": json.dumps(_statistics(venv)).encode("ascii")}
+        done, {_PARAMETERS: file.getvalue(), "statistics.json": json.dumps(_statistics(venv)).encode("ascii")}
     )
     for other in folder.iterdir():
         if other != done:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
+from owm.checkpoint import positive
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.transformer import MLP
@@ -187,7 +187,7 @@ class Variant:
 
     def skeleton(self, dtype: jnp.dtype) -> Statistics:
         """Return the shapes of the statistics."""
-        scales = (jax.ShapeDtypeStruct(shape, dtype) for shape in ((6,), (), (), ()))
+        scales = (positive(shape, dtype) for shape in ((6,), (), (), ()))
         return Statistics(LinearMap.skeleton(dtype), self.filter.skeleton(dtype), *scales)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from astrojax.attitude import quat_sign
+from owm.checkpoint import LARGEST, Within, positive
 from owm.data.windows import Episodes
 from owm.model.config import ModelConfig
 from owm.model.transformer import MLP, Linear
@@ -142,8 +143,9 @@ class LatentStream(eqx.Module):
     @staticmethod
     def skeleton(dtype: jnp.dtype) -> Statistics:
         """Return the shapes of the statistics."""
-        shapes = ((4,), (_FEATURES, COLUMNS), (4,), (4,), (6,))
-        return Statistics(*(jax.ShapeDtypeStruct(shape, dtype) for shape in shapes))
+        transition = Within((_FEATURES, COLUMNS), dtype, -LARGEST, LARGEST)
+        scale = positive((4,), dtype)
+        return Statistics(scale, transition, scale, scale, positive((6,), dtype))
 
     def embed(self, features: Float[Array, "18"]) -> Float[Array, "4 d"]:
         """Lay scaled features out in their tokens, the linear part of the encoder."""
