@@ -65,6 +65,11 @@ def plain(error: Exception) -> str:
     return mistakes(error) if hasattr(error, "errors") else " ".join(str(error).split())
 
 
+def inert(text: str) -> str:
+    """Markdown in which nothing opens an HTML tag: names and titles are others' text, and some viewers run scripts."""
+    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
+
+
 _OURS = {
     "missing": "is missing",
     "greater_than_equal": "must be at least {ge}",

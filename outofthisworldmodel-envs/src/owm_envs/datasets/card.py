@@ -10,6 +10,7 @@ from owm_envs.config.text import fields
 from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, OBSERVATION
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.station.ports import PORTS
+from owm_envs.words import inert
 
 _MEANING = {
     "observation.state": "relative view as measured: position m, velocity m/s, attitude (body to station), rate rad/s",
@@ -61,7 +62,6 @@ def dataset_card(
     asked = dataclasses.asdict(request) if dataclasses.is_dataclass(request) else dict(request)
     folders = {each: f"{each}/" for each in summary} if split is None else {split: ""}
     lines = [
-        *_header(summary, folders),
         "",
         "# Docking at the International Space Station",
         "",
@@ -120,7 +120,7 @@ def dataset_card(
     known = {"LeRobot format": CODEBASE_VERSION, **(versions or {})}
     lines += ["Versions: " + ", ".join(f"{what} {version}" for what, version in known.items()) + ".", ""]
     lines += ["Licence: MIT, the data and the program that made them.", ""]
-    return "\n".join(lines)
+    return "\n".join([*_header(summary, folders), *map(inert, lines)])
 
 
 def reproduce(asked: Mapping[str, Any]) -> str:

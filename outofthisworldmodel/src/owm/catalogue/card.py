@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from owm import __version__
+from owm_envs.words import inert
 
 
 def model_card(header: Mapping[str, Any], name: str, metrics: Path | None = None) -> str:
@@ -23,13 +24,11 @@ def model_card(header: Mapping[str, Any], name: str, metrics: Path | None = None
             *("---", "license: mit", "library_name: outofthisworldmodel", "pipeline_tag: robotics"),
             *("tags: [spacecraft, docking, jax]", "---", ""),
             *(f"# {use} of spacecraft docking", ""),
-            f"Kind `{kind}`, three files of numbers and text: nothing in them is executed.",
+            inert(f"Kind `{kind}`") + ", three files of numbers and text: nothing in them is executed.",
             "",
             *_loading(kind, name),
             "",
-            *_corpora(about),
-            *_training(about),
-            *_scores(about, metrics),
+            *map(inert, (*_corpora(about), *_training(about), *_scores(about, metrics))),
             f"Versions: outofthisworldmodel {__version__}, checkpoint format {header['format']}.",
             "",
             "Licence: MIT.",

@@ -1,6 +1,8 @@
 """What a run tells while it goes: JSON lines, TensorBoard events, Weights & Biases, and a view in the terminal."""
 
+import contextlib
 import json
+import re
 import secrets
 import time
 from pathlib import Path
@@ -13,6 +15,7 @@ from rich.table import Table
 
 from owm_envs.files import write_atomically
 
+_ID = re.compile(r"[0-9a-f]{8}")
 _SHOWN = 6
 """Validations that the view keeps in sight."""
 
@@ -41,7 +44,8 @@ class Metrics:
             import wandb
 
             known = out / "wandb" / "id"
-            name = known.read_text(encoding="ascii") if known.is_file() else secrets.token_hex(4)
+            found = known.read_text(encoding="utf-8", errors="replace") if known.is_file() else ""
+            name = found if _ID.fullmatch(found) else secrets.token_hex(4)  # it becomes part of a path
             write_atomically(known, lambda stream: stream.write(name), text=True)
             self._online = wandb.init(
                 project=project, dir=out, id=name, name=out.name, resume="allow", config=config,
@@ -68,15 +72,14 @@ class Metrics:
 
 
 def _truncate(file: Path, step: int) -> None:
+    """Keep the lines of a metrics file up to a step: those that are whole."""
     if not file.exists():
         return
     kept = []
-    for text in file.read_text(encoding="utf-8").splitlines():
-        try:
+    for text in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        with contextlib.suppress(ValueError, KeyError, TypeError):  # cut short by a kill, or damaged
             if json.loads(text)["step"] <= step:
                 kept.append(text)
-        except (json.JSONDecodeError, KeyError):
-            break  # a line cut short by the kill
     write_atomically(file, lambda stream: stream.writelines(text + "\n" for text in kept), text=True)
 
 
