@@ -31,6 +31,7 @@ from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
 from owm.training.step import initial_state, train_chunk
 from owm.training.validation import SCORE_UNITS, coasting_score, validation_sets
+from owm_envs.claims import Claim
 from owm_envs.files import FolderTaken
 
 CONFIG = TrainConfig(
@@ -142,6 +143,29 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(ValueError, match=r"is damaged.*choose another folder"):
         train(CONFIG, episodes, episodes, out, console=QUIET)
+
+
+@pytest.mark.parametrize("settled", [{"batch": 10**9, "devices": 1}, {"batch": -1, "devices": 1}, {"batch": "16"}, 3])
+def test_a_received_run_asks_for_no_more_than_there_is(settled, uninterrupted, episodes, tmp_path):
+    out = tmp_path / "received"
+    out.mkdir()
+    told = json.loads((uninterrupted[1] / "run.json").read_text(encoding="utf-8"))
+    (out / "run.json").write_text(json.dumps(told | {"settled": settled}))
+    with pytest.raises(ValueError, match=r"run\.json is damaged"):
+        train(CONFIG, episodes, episodes, out, console=QUIET)
+
+
+def test_two_trainers_do_not_share_a_folder(uninterrupted, episodes, tmp_path):
+    out = tmp_path / "taken"
+    shutil.copytree(uninterrupted[1], out)
+    shutil.rmtree(out / "model")
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    told = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    with Claim(out, {name: told[name] for name in ("config", "train", "val")}):
+        for resume in (True, False):
+            with pytest.raises(FolderTaken, match="another process is at work in"):
+                train(CONFIG, episodes, episodes, out, resume=resume, console=QUIET)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
 def killed_once(reached, episodes, folder, out, **environ):

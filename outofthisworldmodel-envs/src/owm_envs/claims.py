@@ -137,7 +137,7 @@ class Claim:
 
     def seal(self, *names: str, **facts: Any) -> None:
         """Note facts, and digests of files and folders that now lie in this one."""
-        digests = {name: fingerprint(self.folder / name) for name in names}
+        digests = {name: digest for name in names if (digest := fingerprint(self.folder / name))}
         self.note(sha256={**(self.found or {}).get("sha256", {}), **digests}, **facts)
 
     def holds(self, *names: str) -> bool:

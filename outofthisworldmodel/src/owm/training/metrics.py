@@ -15,7 +15,6 @@ from rich.table import Table
 
 from owm_envs.files import write_atomically
 
-_ID = re.compile(r"[0-9a-f]{8}")
 _SHOWN = 6
 """Validations that the view keeps in sight."""
 
@@ -44,8 +43,7 @@ class Metrics:
             import wandb
 
             known = out / "wandb" / "id"
-            found = known.read_text(encoding="utf-8", errors="replace") if known.is_file() else ""
-            name = found if _ID.fullmatch(found) else secrets.token_hex(4)  # it becomes part of a path
+            name = _known_id(known) or secrets.token_hex(4)
             write_atomically(known, lambda stream: stream.write(name), text=True)
             self._online = wandb.init(
                 project=project, dir=out, id=name, name=out.name, resume="allow", config=config,
@@ -71,13 +69,19 @@ class Metrics:
             self._online.log(line, step=line["step"])
 
 
+def _known_id(file: Path) -> str | None:
+    """The id under which a run is known there already; it becomes part of a path, so that it has to be one of ours."""
+    found = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+    return found if re.fullmatch(r"[0-9a-f]{8}", found) else None
+
+
 def _truncate(file: Path, step: int) -> None:
     """Keep the lines of a metrics file up to a step: those that are whole."""
     if not file.exists():
         return
     kept = []
     for text in file.read_text(encoding="utf-8", errors="replace").splitlines():
-        with contextlib.suppress(ValueError, KeyError, TypeError):  # cut short by a kill, or damaged
+        with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):  # cut short by a kill, or damaged
             if json.loads(text)["step"] <= step:
                 kept.append(text)
     write_atomically(file, lambda stream: stream.writelines(text + "\n" for text in kept), text=True)

@@ -61,13 +61,14 @@ def _train(config: PPOConfig, out: Path, console: Console) -> dict[str, Any]:
     venv = make_env(config, config.envs, config.seed + step, training=True)
     trial = make_env(config, config.validation_episodes, _VALIDATION_SEED, training=False)
     trial.obs_rms = venv.obs_rms
+    model = _new_model(config, venv)
     if saves:
-        model = PPO.load(saves[-1] / "model.zip", env=venv, device="cpu")
+        # Not by `PPO.load`, which would run what is pickled in the file: the folder may come from elsewhere.
+        model.set_parameters(saves[-1] / "model.zip", device="cpu")
+        model.num_timesteps = step
         _restore_statistics(venv, json.loads((saves[-1] / "statistics.json").read_text(encoding="utf-8")))
         trial.obs_rms = venv.obs_rms
         set_random_seed(config.seed + step)
-    else:
-        model = _new_model(config, venv)
     with Metrics(out, step or -1) as metrics:
         lines = _lines(metrics.file)
         spent = lines[-1]["seconds"] if lines else 0.0
