@@ -15,7 +15,7 @@ from owm.study import workers as matrix_workers
 from owm.study.conditions import CONDITIONS, Condition, condition
 from owm.study.matrix import Matrix, Study, read_matrix, row_name, rows_of
 from owm.study.report import given_of, rows_flown, write_matrix_report
-from owm.study.run import Pace, run_matrix
+from owm.study.run import Pace, Store, run_matrix
 from owm_envs.claims import Claim
 from owm_envs.field import load_field
 from owm_envs.files import FolderTaken
@@ -237,27 +237,28 @@ def copied(whole, folder):
     return Path(shutil.copytree(whole[0], folder / "out")), folder / "out" / "flights" / "drift" / "own" / "nominal"
 
 
-def flown_again(out, matrix=None):
+def flown_again(out):
     """The flights, and the rows and ports that had to be flown for them."""
     seen = []
     flown = run_matrix(
-        matrix or SMALL, out, conditions={"nominal": SIMPLE}, report=lambda *now: seen.append(now[2].partition(": ")[2])
+        SMALL, out, conditions={"nominal": SIMPLE}, report=lambda *now: seen.append(now[2].partition(": ")[2])
     )
     return flown, set(filter(None, seen))
 
 
-@pytest.mark.parametrize("lost", ["zvezda_aft", "unity_nadir"])
-def test_flights_with_draws_are_the_same_whatever_was_killed(lost, whole, tmp_path):
-    """Whichever ports are there already; killed after they were saved and before they were noted, too."""
+def test_flights_with_draws_are_the_same_whatever_was_killed(whole, tmp_path):
+    """Whichever ports are there already; killed after they were saved and before they were noted."""
     out, row = copied(whole, tmp_path)
     told = json.loads((row / "row.json").read_text())
-    del told["ports"][lost], told["sha256"][f"{lost}.npz"]
+    del told["ports"]["unity_nadir"], told["sha256"]["unity_nadir.npz"]
     (row / "row.json").write_text(json.dumps(told))
+    (row.parents[2] / "PD" / "own" / "nominal" / "row.json").write_text("{}")
     flown, again = flown_again(out)
-    assert {what.split(",")[0] for what in again} == {f"drift to {lost}"}
+    assert {what.split(",")[0] for what in again} == {"PD to zvezda_aft", "PD to unity_nadir", "drift to unity_nadir"}
     same_flights(flown, whole[1])
     ends = flown["drift", None, "nominal"][0].trajectory[:, 20]
     assert len({tuple(end) for end in ends.tolist()}) == 4, "draws of their own"
+    assert not flown_again(out)[1], "mended for good"
 
 
 def of_another_seed(whole, row):
@@ -298,13 +299,12 @@ ROT = {
 
 
 @pytest.mark.parametrize("damage", ROT)
-def test_flights_that_were_damaged_are_flown_again(damage, whole, tmp_path):
+def test_flights_that_were_damaged_count_as_missing(damage, whole, tmp_path):
     out, row = copied(whole, tmp_path)
     ROT[damage](whole, row)
-    flown, again = flown_again(out)
-    assert again and all(what.startswith("drift to ") for what in again)
-    same_flights(flown, whole[1])
-    assert not flown_again(out)[1], "mended for good"
+    missing = {each.label: Store(out, each, SIMPLE, SMALL).missing() for each in rows_of(SMALL)}
+    of_a_file = damage in ("port 99", "NaN", "another port's", "another row's", "cut", "empty", "no file")
+    assert missing == {"PD": [], "drift": ["unity_nadir"] if of_a_file else ["zvezda_aft", "unity_nadir"]}
 
 
 @pytest.mark.parametrize(

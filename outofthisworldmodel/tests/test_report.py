@@ -70,7 +70,9 @@ def test_the_page_nests_escapes_and_needs_nothing_else(written):
 def test_the_markdown_has_the_same_and_links_its_pictures(written):
     markdown, _, folder = written
     assert markdown.startswith("# Title <1>\n\nSpeeds")
-    assert "| policy | x\\|y |\n| --- | --: |\n| &lt;b>dock&lt;/b> | 1 |\n| **pd** | **2** |\n\n*A caption*" in markdown
+    assert (
+        "| policy | x\\|y |\n| --- | --: |\n| &#60;b>dock&#60;/b> | 1 |\n| **pd** | **2** |\n\n*A caption*" in markdown
+    )
     assert "(figures/a.png)" in markdown and (folder / "figures/a.png").is_file()
     assert "```\nowm demo <x>\n```" in markdown and "- first\n- second" in markdown
 
@@ -96,6 +98,7 @@ HOSTILE = (
     "a\n\n<!-- <svg onload=alert(1)>",
     "<https://example.org>",
     "|<b>`|`<?php",
+    "a\n```<b>",
 )
 
 

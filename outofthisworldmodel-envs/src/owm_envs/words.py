@@ -66,8 +66,8 @@ def plain(error: Exception) -> str:
 
 
 def inert(text: str) -> str:
-    """Markdown in which nothing opens an HTML tag: names and titles are others' text, and some viewers run scripts."""
-    return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
+    """Markdown that opens no HTML tag and no block of code, such as others' names: some viewers run a script in it."""
+    return re.sub(r"<(?=[A-Za-z/!?])|`(?=``)|~(?=~~)", lambda found: f"&#{ord(found[0])};", text)
 
 
 _OURS = {

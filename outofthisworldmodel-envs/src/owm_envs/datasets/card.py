@@ -62,6 +62,7 @@ def dataset_card(
     asked = dataclasses.asdict(request) if dataclasses.is_dataclass(request) else dict(request)
     folders = {each: f"{each}/" for each in summary} if split is None else {split: ""}
     lines = [
+        *_header(summary, folders),
         "",
         "# Docking at the International Space Station",
         "",
@@ -78,7 +79,7 @@ def dataset_card(
     ]
     for each, counts in summary.items():
         told = [", ".join(f"{name} {n}" for name, n in counts[what].items()) for what in ("policies", "outcomes")]
-        lines.append(f"| {each} | {counts['episodes']} | {counts['transitions']} | {told[0]} | {told[1]} |")
+        lines.append(inert(f"| {each} | {counts['episodes']} | {counts['transitions']} | {told[0]} | {told[1]} |"))
     lines += [
         "",
         "Val flies the straight docking policy to every port, the held-out ones included: tune on its train-port "
@@ -116,11 +117,11 @@ def dataset_card(
         "",
     ]
     if sensors:
-        lines += [f"With the further sensors `{', '.join(sensors)}`, which only `generate` in Python takes.", ""]
+        lines += [f"With the further sensors `{inert(', '.join(sensors))}`, which only `generate` in Python takes.", ""]
     known = {"LeRobot format": CODEBASE_VERSION, **(versions or {})}
-    lines += ["Versions: " + ", ".join(f"{what} {version}" for what, version in known.items()) + ".", ""]
+    lines += [inert("Versions: " + ", ".join(f"{what} {version}" for what, version in known.items()) + "."), ""]
     lines += ["Licence: MIT, the data and the program that made them.", ""]
-    return "\n".join([*_header(summary, folders), *map(inert, lines)])
+    return "\n".join(lines)
 
 
 def reproduce(asked: Mapping[str, Any]) -> str:

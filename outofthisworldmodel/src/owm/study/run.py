@@ -23,6 +23,7 @@ from owm.study.matrix import PLANNERS, Matrix, Row, row_name, rows_of
 from owm.study.workers import fly_side_by_side, missing_flights, spell
 from owm_envs.claims import Claim
 from owm_envs.files import FolderTaken, output_folder, remove
+from owm_envs.policies import SlotPolicy
 from owm_envs.station import PORT_NAMES, port_index
 from owm_envs.words import unknown
 
@@ -111,6 +112,7 @@ def run_matrix(
     for source, told in planned.items() if fly else ():
         load_model(source, told)  # so that one that cannot be read is told of now, not after an hour of flying
     with claim:
+        missing_flights(stores)  # once more: another process may have been at it
         _settle_rest(claim.folder, stores, fresh)
         to_fly = [store for store in stores if fly and store.missing()]
         claim.note()
@@ -196,7 +198,6 @@ class Store:
 
     def missing(self) -> list[str]:
         """Ports not flown yet."""
-        self.claim.look()  # another process may fly this row
         return [port for port in self.matrix.ports if not self.claim.holds(_file(port))]
 
     def fly(self, port: str, slots: int, progress: Callable[..., None]) -> float:
@@ -207,7 +208,7 @@ class Store:
             planner = PlannerConfig(**PLANNERS[row.planner]) if row.planner else None
             chart = _field(self.condition.map)
             self.policy = load_policy(row.source, self.condition.told(), slots, matrix.seed, planner, chart)
-        if hasattr(self.policy, "restart"):
+        if isinstance(self.policy, SlotPolicy):
             # Draws follow the number of the episode: that of a run to all ports in turn, whatever has been flown.
             self.policy.restart(port_index(port) * -(-row.flights // slots))
         self.claim.note(version=__version__, ports=self._ports())
