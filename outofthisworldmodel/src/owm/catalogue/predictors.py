@@ -36,6 +36,8 @@ BASELINES = ("constant-velocity", "least-squares", "ekf", "exact")
 """Scored beside what is asked for."""
 NAMED = (*BASELINES, "least-squares-action-only")
 """Predictors that need no checkpoint; those of least squares are fitted to the dataset's train split."""
+FILES = ("prediction.json", "prediction.png")
+"""Of the scores; beside them `calibration.png`, where something is calibrated."""
 HORIZONS = tuple(range(1, 65))
 SPREAD_HORIZONS = (1, 2, 4, 8, 16, 32, 64)
 
@@ -84,7 +86,7 @@ def evaluate_prediction(
     errors: dict[str, list[PredictionError]] = {}
     spreads: dict[str, list[Calibration]] = {}
     with Claim(out, asked) as claim:
-        if claim.found and claim.found.get("done") and claim.holds(*claim.found.get("sha256", {})):
+        if claim.found and claim.found.get("done") and claim.holds(*FILES):
             announce(f"{claim.folder} holds these scores already")
             return {}, {}
         files: list[Path] = []
@@ -161,7 +163,7 @@ def write_predictions(
     errors: dict[str, list[PredictionError]], spreads: dict[str, list[Calibration]], out: Path
 ) -> list[Path]:
     """Write what is scored so far as JSON and pictures."""
-    files = [out / "prediction.json", out / "prediction.png"]
+    files = [out / name for name in FILES]
     rows = {
         key: [{"group": group} | row for group, each in groups.items() for scored in each for row in scored.rows()]
         for key, groups in (("error", errors), ("calibration", spreads))
