@@ -261,6 +261,31 @@ def test_flights_with_draws_are_the_same_whatever_was_killed(whole, tmp_path):
     assert not flown_again(out)[1], "mended for good"
 
 
+OWN = """
+import numpy as np
+
+class Noisy:
+    def __init__(self, seed):
+        self.draws = np.random.default_rng(seed)
+
+    def reset(self, mask, ports):
+        pass
+
+    def predict(self, observation, state, episode_start, deterministic):
+        return self.draws.normal(size=(len(observation), 6)).astype(np.float32) * 100, state
+"""
+
+
+def test_a_policy_of_one_s_own_draws_the_same_too(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "noisy_own.py").write_text(OWN)
+    study = Study(title="Own", policies=("mine",))
+    matrix = SMALL.model_copy(update={"policies": {"mine": "noisy_own:Noisy"}, "studies": (study,)})
+    first = run_matrix(matrix, tmp_path / "out", conditions={"nominal": SIMPLE})
+    (tmp_path / "out" / "flights" / "mine" / "own" / "nominal" / "unity_nadir.npz").unlink()
+    same_flights(run_matrix(matrix, tmp_path / "out", conditions={"nominal": SIMPLE}), first)
+
+
 def of_another_seed(whole, row):
     replace(whole[1]["drift", None, "nominal"][0], seed=np.arange(4), port=np.full(4, 99)).save(row / "unity_nadir.npz")
 

@@ -145,27 +145,26 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
         train(CONFIG, episodes, episodes, out, console=QUIET)
 
 
+def claimed(out, episodes):
+    """The claim of a run, as `train` makes it."""
+    digest = episodes.digest()
+    return Claim(out, {"config": CONFIG.model_dump(mode="json"), "train": digest, "val": digest})
+
+
 @pytest.mark.parametrize("settled", [{"batch": 10**9, "devices": 1}, {"batch": -1, "devices": 1}, {"batch": "16"}, 3])
-def test_a_received_run_asks_for_no_more_than_there_is(settled, uninterrupted, episodes, tmp_path):
-    out = tmp_path / "received"
-    out.mkdir()
-    told = json.loads((uninterrupted[1] / "run.json").read_text(encoding="utf-8"))
-    (out / "run.json").write_text(json.dumps(told | {"settled": settled}))
+def test_a_received_run_asks_for_no_more_than_there_is(settled, episodes, tmp_path):
+    claimed(tmp_path / "run", episodes).note(settled=settled)
     with pytest.raises(ValueError, match=r"run\.json is damaged"):
-        train(CONFIG, episodes, episodes, out, console=QUIET)
+        train(CONFIG, episodes, episodes, tmp_path / "run", console=QUIET)
 
 
-def test_two_trainers_do_not_share_a_folder(uninterrupted, episodes, tmp_path):
-    out = tmp_path / "taken"
-    shutil.copytree(uninterrupted[1], out)
-    shutil.rmtree(out / "model")
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    told = json.loads((out / "run.json").read_text(encoding="utf-8"))
-    with Claim(out, {name: told[name] for name in ("config", "train", "val")}):
+def test_two_trainers_do_not_share_a_folder(episodes, tmp_path):
+    with claimed(tmp_path / "run", episodes) as claim:
+        claim.note(settled={"batch": 16, "devices": 1})
         for resume in (True, False):
             with pytest.raises(FolderTaken, match="another process is at work in"):
-                train(CONFIG, episodes, episodes, out, resume=resume, console=QUIET)
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+                train(CONFIG, episodes, episodes, claim.folder, resume=resume, console=QUIET)
+        assert {path.name for path in claim.folder.iterdir()} == {"run.json", ".lock"}
 
 
 def killed_once(reached, episodes, folder, out, **environ):
