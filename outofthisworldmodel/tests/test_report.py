@@ -122,6 +122,11 @@ def test_nothing_that_users_write_opens_a_tag_in_the_markdown(text, tmp_path):
     assert not kinds & {"html_block", "html_inline"}
 
 
+def test_a_title_reads_as_it_was_written(tmp_path):
+    _, page = write_report("5 <b> & `c`", ["text"], tmp_path)
+    assert "<title>5 &lt;b&gt; &amp; c</title>" in page.read_text(encoding="utf-8")
+
+
 def test_headings_of_one_name_have_places_of_their_own():
     page = Page()
     page.feed(to_html("# t\n\n## Same\n\n## same!\n\n## 模型\n\n## +\n", {}))

@@ -125,7 +125,7 @@ def to_html(markdown: str, pictures: Mapping[str, Path]) -> str:
             opening.attrSet("id", anchor)
             links.append(f'<a href="#{anchor}">{render.renderInline(inline.children, _MARKDOWN.options, {})}</a>')
     head, body = (render.render(some, _MARKDOWN.options, {}) for some in (tokens[:3], tokens[3:]))
-    title = html.escape(tokens[1].content)
+    title = html.escape("".join(token.content for token in tokens[1].children))
     return _PAGE.format(title=title, style=_STYLE, head=head, links="\n".join(links), body=body)
 
 
