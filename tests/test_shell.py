@@ -1,14 +1,21 @@
 """The two commands as a terminal runs them: encodings, versions, nested help, Ctrl-C at any moment."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+from rich.table import Table
 
+from owm_envs import cli
 from owm_envs.registration import IDS
+from owm_envs.shell import terminal
+
+SOURCES = sorted(Path(__file__).parents[1].glob("*/src/**/*.py"))
 
 COMMANDS = ("owm", "owm_envs")
 COMPILING = (
@@ -67,6 +74,30 @@ def test_an_interruption_while_xla_compiles_ends_in_one_line(delay):
     _, complaint = process.communicate(timeout=30)
     assert process.returncode == 130
     assert complaint == "interrupted\n"
+
+
+@pytest.mark.parametrize(
+    "words", [["verify"], ["plot"], ["station", "import"], ["config", "validate"], ["merge", "--out", "x"]]
+)
+def test_a_path_that_looks_like_markup_is_named_in_one_line(words, tmp_path, capsys):
+    place = tmp_path / "[" / "x]"
+    place.mkdir(parents=True)
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*words, str(place)])
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert ended.value.code == 2 and told.startswith("error: ") and "[/x]" in told and "closing tag" not in told
+
+
+def test_consoles_print_text_as_it_is(capsys):
+    marked = "a [/x] [bold] :smile:"
+    table = Table(marked, title=marked)
+    table.add_row(marked)
+    terminal().print(table)
+    terminal().print(marked)
+    assert capsys.readouterr().out.count(marked) == 4
+    # And no other consoles are made.
+    made = [file.name for file in SOURCES if re.search(r"\bConsole\(", file.read_text(encoding="utf-8"))]
+    assert made == ["shell.py"]
 
 
 STRUCK = """

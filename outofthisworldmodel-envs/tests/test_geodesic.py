@@ -210,12 +210,57 @@ def test_cache_serves_every_selection_and_survives_damage(cache, station_field, 
     again = load_field(("harmony_zenith",), progress=report)
     assert not solved
     np.testing.assert_array_equal(again.nodes[0], station_field.nodes[1])
-    (damaged,) = cache.glob("harmony_zenith-*.npz")
+    (damaged,) = cache.glob("harmony_zenith-*.f32")
     damaged.write_bytes(damaged.read_bytes()[:100_000])
     again = load_field(("harmony_zenith",), progress=report)
     assert solved[0] == ("solving the geodesic field of harmony_zenith", 0, 1) and solved[-1][1:] == (1, 1)
     np.testing.assert_array_equal(again.nodes[0], station_field.nodes[1])
     assert not list(cache.glob(".*"))
+
+
+def shifted(path, other):
+    """Whole numbers, finite and in their places, but not those that were solved."""
+    numbers = np.frombuffer(path.read_bytes(), "<f4").copy()
+    numbers[-1000:] += 1.0
+    path.write_bytes(numbers.tobytes())
+
+
+def linked_in_a_circle(path, other):
+    path.unlink()
+    path.symlink_to(path.name)
+
+
+FIELD_DAMAGE = {
+    "wrong numbers": shifted,
+    "another port's": lambda path, other: path.write_bytes(other.read_bytes()),
+    "zeros": lambda path, other: path.write_bytes(bytes(path.stat().st_size)),
+    "one bit": lambda path, other: path.write_bytes(path.read_bytes()[:-1] + bytes([path.read_bytes()[-1] ^ 1])),
+    "empty": lambda path, other: path.write_bytes(b""),
+    "longer": lambda path, other: path.write_bytes(path.read_bytes() + b"0"),
+    "a folder": lambda path, other: (path.unlink(), path.mkdir()),
+    "a circle of links": linked_in_a_circle,
+}
+
+
+@pytest.mark.parametrize("damage", FIELD_DAMAGE)
+def test_a_cached_file_that_was_damaged_is_solved_anew_once(damage, tmp_path, monkeypatch, quick_fields):
+    monkeypatch.setenv("OWM_ENVS_CACHE", str(tmp_path))
+    ports, said = ("pirs_nadir", "poisk_zenith"), []
+
+    def load():
+        said.clear()
+        return load_field(ports, boxes=WALL, progress=lambda *now: said.append(now), config=COARSE)
+
+    first = load()
+    assert len(said) == 3
+    (path,), (other,), (clearances,) = (tmp_path.glob(f"{name}-*.f32") for name in (*ports, "clearance"))
+    for file, solved in ((path, 2), (clearances, 0)):
+        FIELD_DAMAGE[damage](file, other)
+        for expected in (solved, 0):
+            again = load()
+            assert len(said) == expected
+            for one, two in zip(first, again):
+                np.testing.assert_array_equal(one, two)
 
 
 def test_an_unwritable_cache_only_warns(tmp_path, monkeypatch):
@@ -231,7 +276,7 @@ def test_other_boxes_have_a_field_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setenv("OWM_ENVS_CACHE", str(tmp_path))
     for shift in (0.0, 1.0):
         load_field(("pirs_nadir",), boxes=WALL + shift, progress=lambda *_: None, config=COARSE)
-    assert len(list(tmp_path.glob("pirs_nadir-*.npz"))) == 2
+    assert len(list(tmp_path.glob("pirs_nadir-*.f32"))) == 2
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,10 @@ from owm.baselines.least_squares import LeastSquares
 from owm.catalogue.policies import GIVEN, NAMES, differences, kind_of, load_model
 from owm.catalogue.predictors import NAMED
 from owm.checkpoint import About, save_world_model
+from owm.console import announce, bar
 from owm.motion.linear import LinearMap
+from owm.report.page import Table
+from owm.report.terminal import print_table
 from owm.scores.docking import evaluation_config
 from owm.training.config import PRESETS
 
@@ -127,6 +130,45 @@ def test_every_preset_is_a_choice_of_train(preset, monkeypatch, tmp_path, recwar
     cli.main(["train", "--data", "d", "--out", "o", "--preset", preset])
     assert seen[0][2] == PRESETS[preset]
     assert not recwarn.list, [str(warning.message) for warning in recwarn.list]
+
+
+MARKED = "a [/x] [bold] :smile: [link=x]"
+"""Of a path: names of folders may look like the markup of the rich library."""
+
+
+def test_text_in_the_terminal_is_no_markup(capsys):
+    announce(f"reading {MARKED} ...")
+    with bar(f"predicting {MARKED}", "models") as update:
+        update(1, 1, MARKED)
+    print_table(Table([MARKED, "b"], [[MARKED, "1"]], MARKED, [0]), MARKED)
+    out, err = capsys.readouterr()
+    assert f"reading {MARKED} ...\n" in err and err.count(MARKED) >= 3 and out.count(MARKED) == 4
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "fly --policy PLACE --out PLACE",
+        "evaluate docking PLACE --out PLACE",
+        "evaluate matrix PLACE --out PLACE",
+        "evaluate prediction PLACE --data PLACE --out PLACE",
+        "evaluate prediction exact --data PLACE --out PLACE",
+        "train --data PLACE --out PLACE",
+        "demo --out PLACE",
+        "push PLACE user/name",
+        "download PLACE --out PLACE",
+    ],
+)
+def test_a_path_that_looks_like_markup_is_named_in_one_line(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
+    place = tmp_path / "[" / "x]"  # "[/x]" closes a style that is not open
+    place.mkdir(parents=True)
+    (place / "thesis").touch()
+    with pytest.raises(SystemExit) as ended:
+        cli.main([word.replace("PLACE", str(place)) for word in command.split()])
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert ended.value.code == 2 and told.startswith("error: ") and "closing tag" not in told
+    assert [file.name for file in place.iterdir()] == ["thesis"]
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"kind": "diffusion"}'])
@@ -246,6 +288,8 @@ SEEDED = (
         ("evaluate matrix TABLE", "studies.0: must be a table, got 3; unknown key 'polices'; did you mean 'policies'?"),
         ("fly --seed -1", "seed must be an integer of at least 0, got -1"),
         ("fly --out FILE", "is no folder"),
+        ("evaluate docking dock dock", "name each policy once, got 'dock' twice"),
+        ("evaluate docking dock --ports zvezda_aft zvezda_aft", "ports must differ, got 'zvezda_aft' twice"),
         ("evaluate docking dock --ports zvezda", "did you mean 'zvezda_aft'?"),
         ("evaluate docking dock --out FILE", "is no folder"),
         ("evaluate prediction exact --data none --out FILE", "is no folder"),

@@ -39,8 +39,25 @@ def test_all_are_scored_on_the_same_instants_the_filter_with_the_longest_history
     assert group == "free, behaviour" and [scored.name for scored in spreads[group]] == ["EKF"]
     mean = {error.name: error.mean("position_m")[3] for error in errors[group]}
     assert mean["EKF"] < mean["exact dynamics (iss)"] < mean["constant velocity"]
+    names = [error.name for error in errors[group]]
+    assert len(set(names)) == len(names) and str(tmp_path / "long") in names, "two fits of one name are told apart"
     written = json.loads((tmp_path / "scored" / "prediction.json").read_text(encoding="utf-8"))
     assert len(written["error"]) == 64 * len(seen) and (tmp_path / "scored" / "calibration.png").is_file()
     assert predictors.evaluate_prediction([str(tmp_path / "long")], [corpus], **few) == ({}, {}), "done already"
+    with pytest.raises(ValueError, match="name each dataset once"):
+        predictors.evaluate_prediction(["exact"], [corpus, corpus], **few)
     with pytest.raises(FolderTaken, match=r"scored holds another run, which differs in windows: choose another"):
         predictors.evaluate_prediction([str(tmp_path / "long")], [corpus], **few | {"windows": 7})
+    with (tmp_path / "scored" / "prediction.json").open("a") as file:
+        file.write(" ")
+    monkeypatch.setattr(predictors, "training_episodes", begin_again)
+    with pytest.raises(Begun):
+        predictors.evaluate_prediction([str(tmp_path / "long")], [corpus], **few)
+
+
+class Begun(Exception):
+    pass
+
+
+def begin_again(*_, **__):
+    raise Begun

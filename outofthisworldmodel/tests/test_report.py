@@ -1,8 +1,9 @@
 from html.parser import HTMLParser
 
 import pytest
+from markdown_it import MarkdownIt
 
-from owm.report.page import Picture, Table, bullets, code, to_html, write_report
+from owm.report.page import Code, Picture, Table, bullets, to_html, write_report
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d4948445200000001000000010802000000907753de0000000c4944415408d763f8cfc0"
@@ -42,11 +43,11 @@ def written(tmp_path):
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "a.png").write_bytes(PNG)
     blocks = [
-        "Speeds < 1 m/s & **bold** `a<b`",
+        "Speeds < 1 m/s & **bold** `a < b`",
         "## Docking & more",
         Table(["policy", "x|y"], [["<b>dock</b>", "1"], ["pd", "2"]], "A caption", [1]),
         bullets(["first", "second `code`"]),
-        code("owm demo <x>"),
+        Code("owm demo <x>"),
         Picture(tmp_path / "figures" / "a.png", 'A "picture"'),
     ]
     markdown, html = write_report("Title <1>", blocks, tmp_path)
@@ -59,7 +60,7 @@ def test_the_page_nests_escapes_and_needs_nothing_else(written):
     page.feed(html)
     assert not page.open and not page.fetched
     text = "".join(page.text)
-    assert "Speeds < 1 m/s & bold a<b" in text and "Title <1>" in text and "owm demo <x>" in text
+    assert "Speeds < 1 m/s & bold a < b" in text and "Title <1>" in text and "owm demo <x>" in text
     assert "<b>dock</b>" in text and "x|y" in text and '<td style="text-align:right"><strong>2</strong></td>' in html
     assert len(page.images) == 1 and page.images[0].startswith("data:image/png;base64,iVBOR")
     assert page.links == ["#docking-more"] and "docking-more" in page.ids
@@ -69,7 +70,9 @@ def test_the_page_nests_escapes_and_needs_nothing_else(written):
 def test_the_markdown_has_the_same_and_links_its_pictures(written):
     markdown, _, folder = written
     assert markdown.startswith("# Title <1>\n\nSpeeds")
-    assert "| policy | x\\|y |\n| --- | --: |\n| <b>dock</b> | 1 |\n| **pd** | **2** |\n\n*A caption*" in markdown
+    assert (
+        "| policy | x\\|y |\n| --- | --: |\n| &#60;b>dock&#60;/b> | 1 |\n| **pd** | **2** |\n\n*A caption*" in markdown
+    )
     assert "(figures/a.png)" in markdown and (folder / "figures/a.png").is_file()
     assert "```\nowm demo <x>\n```" in markdown and "- first\n- second" in markdown
 
@@ -83,6 +86,51 @@ def test_what_users_write_runs_and_fetches_nothing(text):
     page.feed(to_html(f"# {text}\n\n{text}\n\n## {text}\n\n{Table(['policy'], [[text]], text).to_markdown()}\n", {}))
     assert not page.open and not page.fetched and not page.images
     assert all(link.startswith("#") for link in page.links)
+
+
+HOSTILE = (
+    "<script>alert(1)</script>",
+    "`<script>",
+    "\\`<script>`",
+    "\\<img src=x onerror=alert(1)>",
+    "```\n<script>alert(1)</script>\n```",
+    "~~~\n\n<iframe src=x>",
+    "a\n\n<!-- <svg onload=alert(1)>",
+    "<https://example.org>",
+    "|<b>`|`<?php",
+    "a\n```<b>",
+)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_nothing_that_users_write_opens_a_tag_in_the_markdown(text, tmp_path):
+    """As a viewer reads it that lets HTML through, whatever of ours stands before and after."""
+    picture = tmp_path / "a.png"
+    picture.write_bytes(PNG)
+    table = Table([text, "`"], [["`", text], [text, text]], text, [1])
+    blocks = [
+        f"## {text}",
+        f"Flown: {text} and `{text}`.",
+        bullets([text, text]),
+        table,
+        Code(text),
+        Picture(picture, text),
+    ]
+    markdown = write_report(text, [*blocks, *blocks], tmp_path)[0].read_text(encoding="utf-8")
+    tokens = MarkdownIt("commonmark", {"html": True}).enable("table").parse(markdown)
+    kinds = {each.type for token in tokens for each in (token, *(token.children or ()))}
+    assert not kinds & {"html_block", "html_inline"}
+
+
+def test_a_title_reads_as_it_was_written(tmp_path):
+    _, page = write_report("5 <b> & `c`", ["text"], tmp_path)
+    assert "<title>5 &lt;b&gt; &amp; c</title>" in page.read_text(encoding="utf-8")
+
+
+def test_headings_of_one_name_have_places_of_their_own():
+    page = Page()
+    page.feed(to_html("# t\n\n## Same\n\n## same!\n\n## 模型\n\n## +\n", {}))
+    assert len(set(page.links)) == 4 and [link.removeprefix("#") for link in page.links] == page.ids
 
 
 def test_a_column_that_says_nothing_is_left_out():

@@ -31,6 +31,7 @@ from owm.training.config import PRESETS, TrainConfig, preset
 from owm.training.loop import train
 from owm.training.step import initial_state, train_chunk
 from owm.training.validation import SCORE_UNITS, coasting_score, validation_sets
+from owm_envs.claims import Claim
 from owm_envs.files import FolderTaken
 
 CONFIG = TrainConfig(
@@ -142,6 +143,28 @@ def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     with pytest.raises(ValueError, match=r"is damaged.*choose another folder"):
         train(CONFIG, episodes, episodes, out, console=QUIET)
+
+
+def claimed(out, episodes):
+    """The claim of a run, as `train` makes it."""
+    digest = episodes.digest()
+    return Claim(out, {"config": CONFIG.model_dump(mode="json"), "train": digest, "val": digest})
+
+
+@pytest.mark.parametrize("settled", [{"batch": 10**9, "devices": 1}, {"batch": -1, "devices": 1}, {"batch": "16"}, 3])
+def test_a_received_run_asks_for_no_more_than_there_is(settled, episodes, tmp_path):
+    claimed(tmp_path / "run", episodes).note(settled=settled)
+    with pytest.raises(ValueError, match=r"run\.json is damaged"):
+        train(CONFIG, episodes, episodes, tmp_path / "run", console=QUIET)
+
+
+def test_two_trainers_do_not_share_a_folder(episodes, tmp_path):
+    with claimed(tmp_path / "run", episodes) as claim:
+        claim.note(settled={"batch": 16, "devices": 1})
+        for resume in (True, False):
+            with pytest.raises(FolderTaken, match="another process is at work in"):
+                train(CONFIG, episodes, episodes, claim.folder, resume=resume, console=QUIET)
+        assert {path.name for path in claim.folder.iterdir()} == {"run.json", ".lock"}
 
 
 def killed_once(reached, episodes, folder, out, **environ):

@@ -1,13 +1,16 @@
 """The PPO baseline under the real Stable-Baselines3. Run by `nox -s sb3`, which brings it."""
 
+import base64
 import csv
 import json
 import os
+import pickle
 import shutil
 import signal
 import subprocess
 import sys
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -20,8 +23,10 @@ from owm.baselines.ppo.train import _export, _restore_statistics, _resumed, trai
 from owm.baselines.ppo.vec_env import make_env
 from owm.catalogue.policies import kind_of, load_policy
 from owm.checkpoint import CheckpointError
+from owm_envs.claims import Claim
 from owm_envs.config import load_config
 from owm_envs.field import load_field
+from owm_envs.files import FolderTaken
 from owm_envs.station import goal_poses
 
 QUICK = PRESETS["ci"].model_copy(update={"env": "iss-hcw", "observe_field": True})
@@ -141,6 +146,35 @@ def test_a_killed_run_goes_on_and_another_is_refused(run, tmp_path):
     assert last["step"] == reached + 1024 and steps == list(range(0, reached + 1025, 1024))
     with pytest.raises(ValueError, match="differs in gamma"):
         train_ppo(QUICK.model_copy(update={"gamma": 0.9}), out, QUIET)
+
+
+class Executed:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __reduce__(self):
+        return os.mkdir, (os.fspath(self.folder),)
+
+
+def test_a_received_run_executes_nothing_and_is_one_trainer_s(run, tmp_path):
+    out = tmp_path / "received"
+    shutil.copytree(run[0], out)
+    (save,) = (path / "model.zip" for path in (out / "state").iterdir())
+    with zipfile.ZipFile(save) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    code = base64.b64encode(pickle.dumps(Executed(tmp_path / "executed"))).decode("ascii")
+    poisoned = json.loads(contents["data"]) | {"ep_info_buffer": {":type:": "deque", ":serialized:": code}}
+    with zipfile.ZipFile(save, "w") as archive:
+        for name, data in (contents | {"data": json.dumps(poisoned)}).items():
+            archive.writestr(name, data)
+    further = QUICK.model_copy(update={"steps": QUICK.steps + 1024})
+    with Claim(out, QUICK.model_dump(mode="json", exclude={"steps"})):
+        with pytest.raises(FolderTaken, match="another process is at work in"):
+            train_ppo(further, out, QUIET)
+    assert train_ppo(further, out, QUIET)["step"] == further.steps
+    assert not (tmp_path / "executed").exists()
 
 
 def test_a_damaged_policy_is_refused(run, tmp_path):

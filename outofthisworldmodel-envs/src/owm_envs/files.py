@@ -5,12 +5,16 @@ import errno
 import os
 import re
 import shutil
+import unicodedata
 from collections.abc import Callable, Collection, Mapping
+from hashlib import file_digest, sha256
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 JOURNAL = ".publishing"
 """Lies in a finished folder while its contents move out of it one by one, and names them."""
+LOCK = ".lock"
+"""Lies in a folder that a process works in, or has worked in."""
 _LEFT = re.compile(r"\..+\.\d+\.partial")
 """Names of what is being written, or was when its writer was killed."""
 
@@ -117,10 +121,10 @@ class FolderTaken(FileExistsError, ValueError):
 
 
 def strangers(folder: Path, known: Collection[str] = ()) -> list[str]:
-    """What lies in a folder beside what is known to, and beside what a killed writer left half written."""
+    """What lies in a folder beside what is known to, a lock, and what a killed writer left half written."""
     if not folder.is_dir():
         return []
-    return sorted(name for name in os.listdir(folder) if name not in known and not _LEFT.fullmatch(name))
+    return sorted(name for name in os.listdir(folder) if name not in {*known, LOCK} and not _LEFT.fullmatch(name))
 
 
 def check_free(folder: Path, known: Collection[str] = ()) -> None:
@@ -176,11 +180,19 @@ def publish(finished: Path, folder: Path) -> None:
 
 
 def published(finished: Path) -> set[str]:
-    """Names of what a call of `publish` has begun to move out of a folder."""
+    """Names of what a call of `publish` has begun to move out of a folder.
+
+    Raises:
+        ValueError: one of them is no name of something in that folder.
+    """
     try:
-        return set((finished / JOURNAL).read_text(encoding="utf-8").splitlines())
+        names = set((finished / JOURNAL).read_text(encoding="utf-8").splitlines())
     except OSError:
         return set()
+    for name in names:
+        if len(inner_path(name).parts) > 1:
+            raise ValueError(f"{finished / JOURNAL} names {name!r}, which is not in its folder: refused")
+    return names
 
 
 def _move(source: Path, target: Path) -> None:
@@ -203,8 +215,20 @@ def _stays(folder: Path) -> bool:
 
 
 def slug(name: str) -> str:
-    """A name as part of a file's name."""
-    return re.sub(r"[^A-Za-z0-9-]+", "_", name).strip("_") or "policy"
+    """A name as part of a file's name: letters and digits of any script; several names may have the same."""
+    return re.sub(r"[^\w-]+", "_", unicodedata.normalize("NFC", name)).strip("_") or "policy"
+
+
+def fingerprint(path: Path) -> str | None:
+    """SHA-256 of a file, or of a folder's files and their names, those that begin with a dot left out; else None."""
+    if path.is_file():
+        with open(path, "rb") as file:
+            return file_digest(file, "sha256").hexdigest()
+    if not path.is_dir():
+        return None
+    files = sorted(file for file in path.rglob("[!.]*") if file.is_file())
+    told = [f"{fingerprint(file)} {file.relative_to(path).as_posix()}\n" for file in files]
+    return sha256("".join(told).encode(errors="surrogateescape")).hexdigest()
 
 
 def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> Path:

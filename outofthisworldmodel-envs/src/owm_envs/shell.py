@@ -81,6 +81,17 @@ def tolerant_output() -> None:
             stream.reconfigure(errors="replace")
 
 
+def terminal(**options: Any) -> Any:
+    """A console of the rich library's that prints text as it is: brackets and colons in a path are no markup.
+
+    Args:
+        options: of `rich.console.Console`.
+    """
+    from rich.console import Console
+
+    return Console(**{"markup": False, "emoji": False, "highlight": False} | options)
+
+
 def _watch_interrupts() -> None:
     """Raise `KeyboardInterrupt` again, and heed Ctrl-C inside XLA too, where Python cannot raise it."""
     if threading.current_thread() is not threading.main_thread():

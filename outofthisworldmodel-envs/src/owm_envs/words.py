@@ -83,6 +83,11 @@ def plain(error: Exception) -> str:
     return mistakes(error) if hasattr(error, "errors") else " ".join(str(error).split())
 
 
+def inert(text: str) -> str:
+    """Markdown that opens no HTML tag and no block of code, such as others' names: some viewers run a script in it."""
+    return re.sub(r"<(?=[A-Za-z/!?])|`(?=``)|~(?=~~)", lambda found: f"&#{ord(found[0])};", text)
+
+
 _OURS = {
     "missing": "is missing",
     "greater_than_equal": "must be at least {ge}",

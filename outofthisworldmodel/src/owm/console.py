@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable, Iterator
 
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -13,12 +12,14 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-console = Console(stderr=True, highlight=False)
+from owm_envs.shell import terminal
+
+console = terminal(stderr=True)
 
 
-def announce(text: str) -> None:
+def announce(text: str, style: str | None = None) -> None:
     """Say what begins."""
-    console.print(text, soft_wrap=True)
+    console.print(text, style=style, soft_wrap=True)
 
 
 @contextlib.contextmanager
@@ -26,10 +27,10 @@ def bar(description: str, unit: str = "") -> Iterator[Callable[..., None]]:
     """Show a progress bar while the block runs; call the yielded function with (done, total, note)."""
     columns = [
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=28),
         MofNCompleteColumn(),
-        TextColumn(f"{unit} {{task.fields[note]}}"),
+        TextColumn(f"{unit} {{task.fields[note]}}", markup=False),
         TimeElapsedColumn(),
     ]
     with Progress(*columns, console=console) as progress:

@@ -1,27 +1,29 @@
-"""Long work in stages: each leaves its results and a marker, so that a killed run goes on where it was."""
+"""Long work in stages: each leaves its results and a note of them, so that a killed run goes on where it was."""
 
 import hashlib
 import json
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from owm_envs.claims import Claim
-from owm_envs.files import write_atomically
+from owm_envs.claims import Claim, digest
+from owm_envs.files import remove
 
 
 class Stages:
-    """The stages of one run in one folder.
+    """The stages of one run in one folder, which as a context it keeps for itself.
 
-    The same again goes on, or finds all done; stages that other code has made are done again.
+    The same again goes on, or finds all done; stages that other code has made, or whose results were damaged since,
+    are done again.
 
     Args:
         path: of the run's folder; empty, new, or one that an earlier start of the run made.
         settings: everything that was asked for and that the results depend on, JSON-able.
         code: fingerprint of what else they depend on.
+        made: names of what the run makes in its folder: what starting over removes.
         fresh: start over in any case.
 
     Attributes:
@@ -31,56 +33,70 @@ class Stages:
         peak: largest resident size of the processes that ran them, bytes; 0 where the system does not tell.
 
     Raises:
-        FolderTaken: the folder holds another run, or something else.
+        FolderTaken: the folder holds another run, or something else; on entering, that another process is at work in
+            it.
     """
 
-    def __init__(self, path: str | os.PathLike, settings: dict[str, Any], code: str = "", *, fresh: bool = False):
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        settings: dict[str, Any],
+        code: str = "",
+        *,
+        made: Collection[str] = (),
+        fresh: bool = False,
+    ):
         self.resumed: list[str] = []
         self.seconds: dict[str, float] = {}
         self.peak = 0.0
+        self._code, self._fresh = code, fresh
+        form = {"stages": {...: {"seconds": (int, float), "peak": (int, float), "sha256": str}}}
         instead = "remove it, or start over with --fresh"
-        self._claim = Claim(path, settings, "state.json", made=["stages"], replace=fresh, instead=instead)
+        self._claim = Claim(path, settings, "state.json", made=made, facts=form, replace=fresh, instead=instead)
         self.folder = self._claim.folder
-        if self._claim.found and (fresh or self._claim.found.get("code") != code):
+
+    def __enter__(self) -> "Stages":
+        self._claim.__enter__()
+        if self._claim.found and (self._fresh or self._claim.found.get("code") != self._code):
             self._claim.start_over()
-        self._claim.note(code=code, made=(self._claim.found or {}).get("made", []))
+        self._claim.note(code=self._code)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._claim.__exit__(*error)
 
     def run(self, name: str, outputs: Sequence[str], work: Callable[[], Any]) -> Any:
         """Do a stage unless it is done; whatever `work` returns must be JSON-able.
 
         Args:
             name: of the stage.
-            outputs: files and folders below the run's folder that the stage makes, whole or not at all.
-            work: makes them.
+            outputs: files and folders below the run's folder that the stage makes, whole or not at all; if they were
+                damaged since, they are removed and made anew.
+            work: makes them, or goes on with what it left when it was killed.
         """
-        marker = f"stages/{name}.json"
-        self.claim(*outputs)
-        found = self._read(marker)
-        if found is not None and all((self.folder / output).exists() for output in outputs):
+        notes = self._claim.found.get("stages", {})
+        found = notes.get(name)
+        if _is_whole(found) and self._claim.holds(*outputs):
             self.resumed.append(name)
         else:
+            if found is not None:  # done, and damaged since: no work to go on with
+                for output in outputs:
+                    remove(self.folder / output)
+                self._claim.note(stages={other: note for other, note in notes.items() if other != name})
             began = time.perf_counter()
             facts = work()
             found = {"seconds": time.perf_counter() - began, "peak": peak_memory() or 0.0, "facts": facts}
-            self._put(marker, found)
+            found = json.loads(json.dumps(found))
+            self._claim.seal(*outputs, stages={**notes, name: found | {"sha256": digest(found)}})
         self.seconds[name] = found["seconds"]
         self.peak = max(self.peak, found["peak"])
         return found["facts"]
 
-    def claim(self, *names: str) -> None:
-        """Note what lies in the folder because of this run, so that starting over can remove it."""
-        made = self._claim.found["made"]
-        if new := [name for name in names if name not in made]:
-            self._claim.note(made=[*made, *new])
 
-    def _put(self, name: str, content: Any) -> None:
-        write_atomically(self.folder / name, lambda file: json.dump(content, file, indent=1), text=True)
-
-    def _read(self, name: str) -> Any:
-        try:
-            return json.loads((self.folder / name).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
+def _is_whole(found: dict[str, Any] | None) -> bool:
+    """Whether the note of a stage is as it was written."""
+    told = dict(found or {})
+    return told.pop("sha256", None) == digest(told) and told.keys() == {"seconds", "peak", "facts"}
 
 
 def source_digest() -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from owm_envs.shell import resumable
+from owm_envs.shell import resumable, terminal
 
 
 def generate(
@@ -128,14 +128,13 @@ def merge(shards: Annotated[tuple[Path, ...], tyro.conf.Positional], out: Path) 
 @contextmanager
 def _recording() -> Iterator[dict[str, Any]]:
     """What tells of a recording in the terminal: rate, bytes and the time that is left."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     bars: dict[str, int] = {}
     columns = [
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.completed:,.0f} of {task.total:,.0f} transitions, {task.fields[told]}"),
         TimeElapsedColumn(),

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from owm_envs.shell import resumable
+from owm_envs.shell import resumable, terminal
 
 
 def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:
@@ -17,20 +17,19 @@ def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:
     Args:
         dataset: Folder of a dataset, or its name on the hub, user/name with an optional @revision.
     """
-    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from owm_envs.datasets.verify import WRONG, verify
 
-    console = Console(stderr=True)
-    with console.status("") as status:
-        report = verify(dataset, progress=status.update)
+    with terminal(stderr=True).status("") as status:
+        report = verify(dataset, progress=lambda text: status.update(Text(text)))
     table = Table(title=dataset)
     for heading in ("check", "split", "result", "figure"):
         table.add_column(heading, overflow="fold")
     for check, split, result, told in report.findings:
         table.add_row(check, split, result, "" if result == WRONG else told)
-    Console().print(table)
+    terminal().print(table)
     for finding in report.wrong:
         print(f"wrong: {finding.told}", file=sys.stderr)
     if not report.sound:

@@ -5,10 +5,11 @@ from typing import Annotated
 
 import tyro
 
+from owm_envs.shell import terminal
+
 
 def ports() -> None:
     """Print the docking ports and the poses to hold at them."""
-    from rich.console import Console
     from rich.table import Table
 
     from owm_envs.station.ports import PORTS, goal_poses
@@ -20,7 +21,7 @@ def ports() -> None:
         position = " ".join(f"{x:8.3f}" for x in pose[:3])
         attitude = " ".join(f"{x:7.4f}" for x in pose[3:])
         table.add_row(str(index), port.name, port.mechanism, port.split.replace("_", " "), position, attitude)
-    Console(width=110).print(table)
+    terminal(width=110).print(table)
 
 
 def station_export(out: Annotated[Path, tyro.conf.Positional], chaser: bool = False) -> None:
@@ -55,13 +56,12 @@ def station_import(
         up: The file's axis that points to zenith: x, y or z; y for glTF and z for other files by default.
         out: File to write the boxes to, a line each; not written if absent.
     """
-    from rich.console import Console
     from rich.table import Table
 
     from owm_envs.station.hull import save_hull
     from owm_envs.station.mesh import boxes_from_mesh, load_triangles
 
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     triangles = load_triangles(mesh, scale, up)
     report = boxes_from_mesh(triangles, boxes, voxel, progress=lambda text: console.print(f"{text} ..."))
     table = Table(title=str(mesh), show_header=False)
@@ -75,7 +75,7 @@ def station_import(
         ("farthest corner from the origin", f"{report.reach:.1f} m"),
     ):
         table.add_row(name, value)
-    Console().print(table)
+    terminal().print(table)
     if out is not None:
         save_hull(out, report.boxes, f"{len(report.boxes)} boxes from {mesh.name}")
         print(f"{out}: {len(report.boxes)} boxes")

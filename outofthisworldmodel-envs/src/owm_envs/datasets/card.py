@@ -10,6 +10,7 @@ from owm_envs.config.text import fields
 from owm_envs.datasets.schema import CODEBASE_VERSION, FEATURES, OBSERVATION
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.station.ports import PORTS
+from owm_envs.words import inert
 
 _MEANING = {
     "observation.state": "relative view as measured: position m, velocity m/s, attitude (body to station), rate rad/s",
@@ -78,7 +79,7 @@ def dataset_card(
     ]
     for each, counts in summary.items():
         told = [", ".join(f"{name} {n}" for name, n in counts[what].items()) for what in ("policies", "outcomes")]
-        lines.append(f"| {each} | {counts['episodes']} | {counts['transitions']} | {told[0]} | {told[1]} |")
+        lines.append(inert(f"| {each} | {counts['episodes']} | {counts['transitions']} | {told[0]} | {told[1]} |"))
     lines += [
         "",
         "Val flies the straight docking policy to every port, the held-out ones included: tune on its train-port "
@@ -116,9 +117,9 @@ def dataset_card(
         "",
     ]
     if sensors:
-        lines += [f"With the further sensors `{', '.join(sensors)}`, which only `generate` in Python takes.", ""]
+        lines += [f"With the further sensors `{inert(', '.join(sensors))}`, which only `generate` in Python takes.", ""]
     known = {"LeRobot format": CODEBASE_VERSION, **(versions or {})}
-    lines += ["Versions: " + ", ".join(f"{what} {version}" for what, version in known.items()) + ".", ""]
+    lines += [inert("Versions: " + ", ".join(f"{what} {version}" for what, version in known.items()) + "."), ""]
     lines += ["Licence: MIT, the data and the program that made them.", ""]
     return "\n".join(lines)
 

@@ -10,8 +10,6 @@ import hashlib
 import math
 import os
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -32,8 +30,9 @@ from owm_envs.field.eikonal import (
     solve_coarse,
     solve_fine,
 )
-from owm_envs.files import write_atomically
+from owm_envs.files import remove, write_atomically
 from owm_envs.flags import own_promotion
+from owm_envs.shell import terminal
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
 
 __all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "field_rows", "load_field", "solve_field"]
@@ -42,6 +41,7 @@ Progress = Callable[[str, int, int], None]
 """Called with a message, the ports done and the ports to do."""
 
 _VERSION = 3  # of the algorithm: part of every cache key
+_SEAL = hashlib.sha256().digest_size  # bytes before a cache file's numbers
 _SPHERE_RADIUS = 2.25
 _EXACT = jax.lax.Precision.HIGHEST  # accelerators would round the factors
 
@@ -277,22 +277,35 @@ def _digest(*parts) -> str:
     return digest.hexdigest()[:20]
 
 
-def _read(path: Path, shapes: tuple) -> list[np.ndarray] | None:
-    """Read the fine and coarse values of a cache file; None if it is missing or damaged."""
+def _seal(path: Path, data: bytes | memoryview) -> bytes:
+    """The digest of a cache file's numbers and of its name, which tells what they depend on."""
+    digest = hashlib.sha256(path.name.encode())
+    digest.update(data)
+    return digest.digest()
+
+
+def _read(path: Path, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray] | None:
+    """Read the values of a cache file, a grid after the other; None if it is missing, damaged or another's."""
+    sizes = [math.prod(shape) for shape in shapes]
     try:
-        with np.load(path, allow_pickle=False) as file:
-            values = [file["fine"], file["coarse"]]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        if not path.is_file() or path.stat().st_size != _SEAL + 4 * sum(sizes):
+            return None
+        data = path.read_bytes()
+    except OSError:
         return None
-    sound = all(v.shape == s and v.dtype == np.float32 and np.isfinite(v).all() for v, s in zip(values, shapes))
-    return values if sound else None
+    if _seal(path, memoryview(data)[_SEAL:]) != data[:_SEAL]:
+        return None
+    values = np.split(np.frombuffer(data, "<f4", offset=_SEAL), np.cumsum(sizes)[:-1])
+    return [part.reshape(shape) for part, shape in zip(values, shapes)]
 
 
-def _write(path: Path, fine: np.ndarray, coarse: np.ndarray) -> None:
+def _write(path: Path, *values: np.ndarray) -> None:
     """Write a cache file in one step, so that no reader ever sees half of it; a read-only disk only warns."""
-    values = {"fine": np.asarray(fine, np.float32), "coarse": np.asarray(coarse, np.float32)}
+    data = b"".join(np.ascontiguousarray(part, "<f4").tobytes() for part in values)
     try:
-        write_atomically(path, lambda file: np.savez(file, **values))
+        if not path.is_file():
+            remove(path)  # a folder or link in its place
+        write_atomically(path, lambda file: file.write(_seal(path, data) + data))
     except OSError as error:
         warnings.warn(f"the geodesic field could not be kept in {path.parent}: {error}", stacklevel=3)
 
@@ -307,7 +320,8 @@ def load_field(
     """Load the field of the station's ports from the cache, solving what is not there.
 
     The cache is the user's cache directory, or the directory named by OWM_ENVS_CACHE; it holds a file a port,
-    named by a hash of everything the numbers depend on. A damaged file is solved anew.
+    named by a hash of everything the numbers depend on, and sealed with their digest. A file that does not match is
+    solved anew.
 
     Args:
         ports: names from `PORT_NAMES`; row i of the field belongs to ports[i].
@@ -331,12 +345,12 @@ def load_field(
     shapes = tuple(grid.shape for grid in grids)
     folder, common = _cache_dir(), (config, grids, _SPHERE_RADIUS, boxes)
 
-    path = folder / f"clearance-{_digest('clearance', *common)}.npz"
+    path = folder / f"clearance-{_digest('clearance', *common)}.f32"
     clearances = _read(path, shapes)
     if clearances is None:
         clearances = [np.asarray(grid_clearance(jnp.asarray(boxes, jnp.float32), _SPHERE_RADIUS, g)) for g in grids]
         _write(path, *clearances)
-    paths = {r: folder / f"{PORT_NAMES[r]}-{_digest(goals[r], normals[r], *common)}.npz" for r in rows}
+    paths = {r: folder / f"{PORT_NAMES[r]}-{_digest(goals[r], normals[r], *common)}.f32" for r in rows}
     detours = {r: _read(path, shapes) for r, path in paths.items()}
     missing = [r for r, values in detours.items() if values is None]
     if missing:
@@ -354,10 +368,9 @@ def _reporter(progress: Progress | None) -> Iterator[Progress]:
     if progress is not None:
         yield progress
         return
-    from rich.console import Console
     from rich.progress import Progress as Bar
 
-    with Bar(console=Console(stderr=True), transient=True) as bar:
+    with Bar(console=terminal(stderr=True), transient=True) as bar:
         task = bar.add_task("geodesic field")
         yield lambda message, done, total: bar.update(task, description=message, completed=done, total=total)
 

@@ -57,6 +57,7 @@ class SlotPolicy(ABC):
         self._ports: np.ndarray | None = None
         self._common: np.integer | None = None  # port of every slot, until a batch shows how many there are
         self._episodes = self._pending = np.zeros(0)
+        self._first = 0
         self._state: Any = None
 
     @abstractmethod
@@ -109,11 +110,19 @@ class SlotPolicy(ABC):
             self.num_slots = count
             with own_flags(jax.config.jax_enable_x64):
                 self._state = self.begin(count)
-            self._ports, self._episodes = given.astype(np.int32), np.full(count, -1, np.int32)
+            self._ports, self._episodes = given.astype(np.int32), np.full(count, self._first - 1, np.int32)
             self._pending = self.active = np.ones(count, bool)
         self._ports = np.where(mask, given, self._ports).astype(np.int32)
         self._pending = self._pending | mask
         self.active = self.active | mask
+
+    def restart(self, episode: int = 0) -> None:
+        """Forget all that has been flown, as if newly made.
+
+        Args:
+            episode: the number of every slot's next one, which draws may depend on.
+        """
+        self._ports, self._first = None, episode
 
     def predict(
         self,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from owm import __version__
 from owm.checkpoint import About, Header, Noise
+from owm_envs.words import inert
 
 
 def model_card(header: Header, name: str, metrics: Path | None = None) -> str:
@@ -23,13 +24,11 @@ def model_card(header: Header, name: str, metrics: Path | None = None) -> str:
             *("---", "license: mit", "library_name: outofthisworldmodel", "pipeline_tag: robotics"),
             *("tags: [spacecraft, docking, jax]", "---", ""),
             *(f"# {use} of spacecraft docking", ""),
-            f"Kind `{kind}`, three files of numbers and text: nothing in them is executed.",
+            inert(f"Kind `{kind}`") + ", three files of numbers and text: nothing in them is executed.",
             "",
             *_loading(kind, name),
             "",
-            *_corpora(about),
-            *_training(about),
-            *_scores(about, metrics),
+            *map(inert, (*_corpora(about), *_training(about), *_scores(about, metrics))),
             f"Versions: outofthisworldmodel {__version__}, checkpoint format {header.format}.",
             "",
             "Licence: MIT.",

@@ -43,6 +43,7 @@ _PROFILE = "only through the profile's braking limits"
 _CORRECTOR = "yes: bias corrector"
 _KINEMATICS = "kinematics of a rigid body; accelerations"
 _EXACT = "the simulator's own, started from the measurement"
+OWN = "user's own"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "latent world model": Given(
@@ -80,7 +81,7 @@ GIVEN: dict[str, Given] = {
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
-    "user's own": Given(*["not told"] * 7),
+    OWN: Given(*["not told"] * 7),
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
@@ -161,7 +162,7 @@ def kind_of(policy: str) -> str:
         return _ONLINE[start]
     if _OWN.fullmatch(policy):
         own_class(policy)
-        return "user's own"
+        return OWN
     header = read_header(checkpoint_folder(policy))
     kind = header.kind
     if kind == "ppo":
@@ -187,7 +188,7 @@ def content_digest(source: str) -> str:
     """Fingerprint of a policy: its name, what its checkpoint holds, or the file of a class of one's own."""
     if source in NAMES:
         return source
-    if kind_of(source) == "user's own":
+    if kind_of(source) == OWN:
         return sha256(source.encode() + Path(inspect.getfile(own_class(source))).read_bytes()).hexdigest()[:16]
     path = source.removeprefix(ONLINE_PREFIX)
     folder = checkpoint_folder(path)
@@ -230,7 +231,7 @@ def load_policy(
     env = DockingEnv(config)
     if kind in SCRIPTED:
         return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
-    if kind == "user's own":
+    if kind == OWN:
         flown = _own_policy(policy, config=config, num_slots=num_slots, seed=seed)
         if not isinstance(getattr(flown, "name", None), str):
             flown.name = policy

@@ -1,6 +1,7 @@
 """What `owm evaluate prediction` does: predictors by their names, on the same held-out windows of several datasets."""
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
@@ -35,6 +36,8 @@ BASELINES = ("constant-velocity", "least-squares", "ekf", "exact")
 """Scored beside what is asked for."""
 NAMED = (*BASELINES, "least-squares-action-only")
 """Predictors that need no checkpoint; those of least squares are fitted to the dataset's train split."""
+FILES = ("prediction.json", "prediction.png")
+"""Of the scores; beside them `calibration.png`, where something is calibrated."""
 HORIZONS = tuple(range(1, 65))
 SPREAD_HORIZONS = (1, 2, 4, 8, 16, 32, 64)
 
@@ -76,55 +79,77 @@ def evaluate_prediction(
     for name in models:
         if name not in NAMED:
             checkpoint_folder(name, "predictor", NAMED)
-    folders = {path: local_dataset(path) for path in data}
-    errors: dict[str, list[PredictionError]] = {}
-    spreads: dict[str, list[Calibration]] = {}
-    files: list[Path] = []
+    folders = _folders(data)
     asked = {"command": "owm evaluate prediction", "split": split, "windows": windows, "samples": samples, "seed": seed}
     asked |= {"models": {name: name if name in NAMED else content_digest(name) for name in models}}
     asked |= {"spread_windows": spread_windows, "data": [_told(folder) for folder in folders.values()]}
-    claim = Claim(out, asked)
-    if claim.found and claim.found["done"]:
-        announce(f"{claim.folder} holds these scores already")
-        folders = {}
-    for named, path in folders.items():
-        train, held_out = training_episodes(path, phases=1)
-        if split is not None:
-            held_out = at_model_rate(read_recordings(path, split))
-        config = dataset_config(path)
-        for kind, others in (("behaviour", True), ("planner-style", False)):
-            part = held_out.flown_by(PLANNER_STYLE, others=others)
-            if part is None:
-                announce(f"{named} holds no {kind} flights")
-                continue
-            group = f"{Path(named).name}, {kind}"
-            held = HELD_COMMANDS if kind == "planner-style" else RECORDED_COMMANDS
-            named = {name: predictor(name, config, train, held) for name in (*models, *BASELINES)}
-            history = max(model.history_length for model in named.values())
-            scored = (named | {"ekf": replace(named["ekf"], history_length=history)}).values()
-            errors[group], spreads[group] = [], []
-            with bar(f"predicting {group}", "models") as update:
-                for done, model in enumerate(scored):
-                    update(done, len(scored), model.name)
-                    # The same instants for all, whatever each wants to know of what went before.
-                    whole, own = history + max(HORIZONS), model.history_length + max(HORIZONS)
-                    with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
-                        drawn = part.windows(whole, windows, seed=seed).last(own)
-                        errors[group].append(prediction_error(model, drawn, HORIZONS))
-                        if outcome := sampled_outcome(model):
-                            drawn = part.windows(whole, spread_windows, seed=seed + 1).last(own)
-                            spreads[group].append(
-                                calibration(model, drawn, SPREAD_HORIZONS, samples=samples, outcome=outcome, seed=seed)
-                            )
-                update(len(scored), len(scored))
-            print_table(error_table(errors[group]), f"{group}: mean prediction error")
-            if spreads[group]:
-                print_table(calibration_table(spreads[group]), f"{group}: samples against outcomes")
-            claim.note(done=False)
-            files = write_predictions(errors, spreads, claim.folder)
-    claim.note(done=True)
+    errors: dict[str, list[PredictionError]] = {}
+    spreads: dict[str, list[Calibration]] = {}
+    with Claim(out, asked) as claim:
+        if claim.found and claim.found.get("done") and claim.holds(*FILES):
+            announce(f"{claim.folder} holds these scores already")
+            return {}, {}
+        files: list[Path] = []
+        for called, path in folders.items():
+            train, held_out = training_episodes(path, phases=1)
+            if split is not None:
+                held_out = at_model_rate(read_recordings(path, split))
+            config = dataset_config(path)
+            for kind, others in (("behaviour", True), ("planner-style", False)):
+                part = held_out.flown_by(PLANNER_STYLE, others=others)
+                if part is None:
+                    announce(f"{called} holds no {kind} flights")
+                    continue
+                group = f"{called}, {kind}"
+                held = HELD_COMMANDS if kind == "planner-style" else RECORDED_COMMANDS
+                scored = {name: predictor(name, config, train, held) for name in (*models, *BASELINES)}
+                counts = {"windows": windows, "spread_windows": spread_windows, "samples": samples, "seed": seed}
+                errors[group], spreads[group] = _score(group, scored, part, **counts)
+                print_table(error_table(errors[group]), f"{group}: mean prediction error")
+                if spreads[group]:
+                    print_table(calibration_table(spreads[group]), f"{group}: samples against outcomes")
+                claim.note(done=False)
+                files = write_predictions(errors, spreads, claim.folder)
+        claim.seal(*(file.name for file in files), done=True)
     for file in files:
         print(file)
+    return errors, spreads
+
+
+def _folders(data: Sequence[Path]) -> dict[str, Path]:
+    """Where datasets lie, by what to call them: their folders' names where these tell them apart.
+
+    Raises:
+        ValueError: one of them is named twice.
+    """
+    folders = {os.fspath(path): local_dataset(path) for path in data}
+    if len({folder.resolve() for folder in folders.values()}) < len(data):
+        raise ValueError(f"name each dataset once, got {', '.join(map(str, data))}")
+    short = [Path(path).name for path in folders]
+    return dict(zip(short if len(set(short)) == len(short) else folders, folders.values()))
+
+
+def _score(
+    group: str, models: dict[str, Any], part: Episodes, *, windows: int, spread_windows: int, samples: int, seed: int
+) -> tuple[list[PredictionError], list[Calibration]]:
+    """Score models on the same instants, whatever each wants to know of what went before."""
+    history = max(model.history_length for model in models.values())
+    models = models | {"ekf": replace(models["ekf"], history_length=history)}
+    errors, spreads = [], []
+    names = [model.name for model in models.values()]
+    with bar(f"predicting {group}", "models") as update:
+        for done, (asked, model) in enumerate(models.items()):
+            update(done, len(models), model.name)
+            called = model.name if names.count(model.name) == 1 else asked
+            whole, own = history + max(HORIZONS), model.history_length + max(HORIZONS)
+            with jax.enable_x64(getattr(model, "precision", "float32") == "float64"):
+                drawn = part.windows(whole, windows, seed=seed).last(own)
+                errors.append(replace(prediction_error(model, drawn, HORIZONS), name=called))
+                if outcome := sampled_outcome(model):
+                    drawn = part.windows(whole, spread_windows, seed=seed + 1).last(own)
+                    told = calibration(model, drawn, SPREAD_HORIZONS, samples=samples, outcome=outcome, seed=seed)
+                    spreads.append(replace(told, name=called))
+        update(len(models), len(models))
     return errors, spreads
 
 
@@ -138,7 +163,7 @@ def write_predictions(
     errors: dict[str, list[PredictionError]], spreads: dict[str, list[Calibration]], out: Path
 ) -> list[Path]:
     """Write what is scored so far as JSON and pictures."""
-    files = [out / "prediction.json", out / "prediction.png"]
+    files = [out / name for name in FILES]
     rows = {
         key: [{"group": group} | row for group, each in groups.items() for scored in each for row in scored.rows()]
         for key, groups in (("error", errors), ("calibration", spreads))

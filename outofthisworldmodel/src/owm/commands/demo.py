@@ -8,6 +8,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from rich.text import Text
 
 from owm import __version__
 from owm.commands.demo_report import Results, write_demo_report
@@ -67,6 +68,11 @@ POLICIES: dict[str, str] = {
 }
 """The rows of the docking table, and where in the demo's folder their model lies."""
 ON_POLICY = "held-out episodes: random, orbit, dock"
+MADE = (
+    *("corpus", "corpus.partial", "least-squares", "train", "prediction.npz", "flights", "figures"),
+    *("report.md", "report.html", "replay.html"),
+)
+"""What a demo leaves in its folder."""
 RECORDED = "flights/world_model"
 """Dataset of the world model's flights."""
 PLANNER_STYLE = "held-out episodes: random wrenches held for 2 s"
@@ -91,25 +97,27 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
     name = scale if isinstance(scale, str) else "custom"
     settings = {**asdict(size), "train": size.train.model_dump(), "planner": size.planner.model_dump()}
     code = f"{__version__}, jax {jax.__version__}, {source_digest()}"
-    stages = Stages(out, {"scale": name, "seed": seed, **settings}, code, fresh=fresh)
-    out = stages.folder
-    stages.claim("corpus.partial", "train", "flights", "figures", "report.md", "report.html", "replay.html")
-    config = corpus_config()
+    with Stages(out, {"scale": name, "seed": seed, **settings}, code, made=MADE, fresh=fresh) as stages:
+        return _run(stages, name, size, seed)
 
-    announce("[bold]1/5 recording the corpus[/]")
+
+def _run(stages: Stages, name: str, size: Scale, seed: int) -> bool:
+    """Do all stages, and report."""
+    out, config = stages.folder, corpus_config()
+    announce("1/5 recording the corpus", "bold")
     corpus = stages.run("corpus", ["corpus"], lambda: _record(out / "corpus", config, size, seed))
-    announce("[bold]2/5 fitting and training[/]")
+    announce("2/5 fitting and training", "bold")
     episodes = cache(lambda: _read(out, size))
     stages.run("least squares", ["least-squares"], lambda: _fit(out, episodes()[0]))
-    trained = stages.run("training", ["train/model"], lambda: _train(out, *episodes(), size, seed))
+    trained = stages.run("training", ["train"], lambda: _train(out, *episodes(), size, seed))
     episodes.cache_clear()
-    announce("[bold]3/5 predicting[/]")
+    announce("3/5 predicting", "bold")
     stages.run("prediction", ["prediction.npz"], lambda: _predict(out, config, size, seed))
-    announce("[bold]4/5 flying[/]")
+    announce("4/5 flying", "bold")
     flights = _fly(stages, out, size, seed)
     if len(stages.resumed) == len(stages.seconds):
         announce(f"an earlier run has done all of it in {out}; --fresh starts over")
-    announce("[bold]5/5 reporting[/]")
+    announce("5/5 reporting", "bold")
 
     predictions = _load_predictions(out / "prediction.npz")
     checks = check(predictions, flights["world model"])
@@ -135,12 +143,12 @@ def demo(scale: str | Scale = "full", out: Path = Path("runs/demo"), seed: int =
 
     print_table(docking_table(results.flights, ["world model"]), f"Docking, {len(results.flights[0])} flights each")
     for text, kept in checks.items():
-        console.print(f"{'[green]kept[/]' if kept else '[red]broken[/]'}  {text}")
+        console.print(Text.assemble(("kept", "green") if kept else ("broken", "red"), f"  {text}"))
     for path in [*reports, results.replay]:
         print(path)
     promises = list(checks.values()) if size.must_dock else list(checks.values())[:1]
     if not all(promises):
-        console.print("[red bold]the demo did not keep its promises: see the report[/]")
+        announce("the demo did not keep its promises: see the report", "red bold")
     return all(promises)
 
 

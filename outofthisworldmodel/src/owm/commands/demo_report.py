@@ -10,7 +10,7 @@ from typing import Any
 
 from owm import __version__
 from owm.catalogue.policies import GIVEN, GIVEN_COLUMNS
-from owm.report.page import Block, Picture, Table, bullets, code, write_report
+from owm.report.page import Block, Code, Picture, Table, bullets, write_report
 from owm.report.paper import DIFFERENCES, paper_table
 from owm.report.plots import (
     loss_figure,
@@ -288,7 +288,7 @@ def _run(results: Results) -> list[Block]:
             f"Everything follows from seed {results.seed}: the corpus, weights, batches, the starts of all flights "
             "and the planner's draws. Starts are seeded by port and trial, away from the seeds of the corpus."
         ),
-        code(commands),
+        Code(commands),
     ]
 
 

@@ -26,7 +26,7 @@ from owm.scores.docking import check_identical_starts, evaluation_config, fly_ep
 from owm.scores.flights import Flights, write_results
 from owm.scores.prediction import PredictionError, prediction_error
 from owm.study.conditions import CONDITIONS, Condition
-from owm.study.matrix import Matrix, Study, read_matrix
+from owm.study.matrix import Matrix, Study, read_matrix, twice
 from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
@@ -150,25 +150,26 @@ def fly(
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
     asked["environment"] = config.model_dump(mode="json")
-    claim = Claim(out or Path("runs/fly") / f"{slug(policy)}_{port}_{digest(asked)[:8]}", asked)
-    kept = claim.folder / "flights.npz"
-    if claim.found and kept.exists():
-        announce(f"{claim.folder} holds these flights already")
-        flown = Flights.load(kept)
-    else:
-        with recording(claim.folder / "episodes", config, slug(policy)) as writer:
+    with Claim(out or Path("runs/fly") / f"{slug(policy)}_{port}_{digest(asked)[:8]}", asked) as claim:
+        kept = claim.folder / "flights.npz"
+        if claim.holds(kept.name, "episodes"):
+            announce(f"{claim.folder} holds these flights already")
+            flown = Flights.load(kept)
+        else:
+            with recording(claim.folder / "episodes", config, slug(policy)) as writer:
 
-            def keep(flights: list[Episode]) -> None:
-                claim.note()  # before anything lies in the folder
-                writer.write(flights)
+                def keep(flights: list[Episode]) -> None:
+                    claim.note()  # before anything lies in the folder
+                    writer.write(flights)
 
-            flown = fly_named(policy, config, seeds, ports, seed=seed, keep=keep)
-        flown.save(kept)
-    files = write_results({flown.policy: flown}, claim.folder)
-    if plot:
-        picture = claim.folder / f"{slug(policy)}_{port}.png"
-        save_figure(trajectory_figure(flown), picture)
-        files.append(picture)
+                flown = fly_named(policy, config, seeds, ports, seed=seed, keep=keep)
+            flown.save(kept)
+            claim.seal(kept.name, "episodes")
+        files = write_results({flown.policy: flown}, claim.folder)
+        if plot:
+            picture = claim.folder / f"{slug(policy)}_{port}.png"
+            save_figure(trajectory_figure(flown), picture)
+            files.append(picture)
     if video is not None:
         _film(flown, config, lens, video)
         files.append(video)
@@ -261,9 +262,11 @@ def evaluate_docking(
     """
     if not policies:
         raise ValueError("name at least one policy")
+    if again := twice(policies):
+        raise ValueError(f"name each policy once, got {again!r} twice")
     out = output_folder(out)
     short = ["/".join(Path(policy).parts[-2:]) for policy in policies]
-    labels = policies if len(set(short)) < len(short) else short
+    labels = policies if twice(slug(name).casefold() for name in short) else short
     study = Study(title="Docking", policies=tuple(labels), figures=True, trajectories=tuple(labels))
     if len(policies) > 1:
         study = study.model_copy(update={"against": (labels[-1],)})

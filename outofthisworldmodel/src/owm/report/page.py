@@ -12,6 +12,7 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 from owm_envs.files import write_atomically
+from owm_envs.words import inert
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,10 @@ class Table:
         """The table, and its caption in italics."""
         rule = ["--:" if self.is_numeric(i) else "---" for i in range(len(self.columns))]
         rows = [[f"**{c}**" if i in self.strong and c else c for c in row] for i, row in enumerate(self.rows)]
-        cells = [[cell.replace("|", "\\|") for cell in row] for row in (self.columns, rule, *rows)]
+        texts = [[" ".join(inert(cell).split()) for cell in row] for row in (self.columns, rule, *rows)]
+        cells = [[text.replace("|", "\\|") for text in row] for row in texts]
         lines = "\n".join(f"| {' | '.join(row)} |" for row in cells)
-        return f"{lines}\n\n*{self.caption}*" if self.caption else lines
+        return f"{lines}\n\n*{inert(self.caption)}*" if self.caption else lines
 
 
 @dataclass(frozen=True)
@@ -52,18 +54,25 @@ class Picture:
     caption: str
 
 
-Block = str | Table | Picture
-"""Markdown, or what is written as such."""
+@dataclass(frozen=True)
+class Code:
+    """Lines as they are."""
+
+    text: str
+
+    def to_markdown(self) -> str:
+        """The lines between fences that none of them can close."""
+        fence = "`" * max(3, 1 + max(map(len, re.findall("`+", self.text)), default=0))
+        return f"{fence}\n{self.text}\n{fence}"
+
+
+Block = str | Table | Picture | Code
+"""Markdown without HTML in it, or what is written as such."""
 
 
 def bullets(items: Sequence[str]) -> str:
     """A list of short texts."""
     return "\n".join(f"- {item}" for item in items)
-
-
-def code(text: str) -> str:
-    """Lines as they are."""
-    return f"```\n{text}\n```"
 
 
 def write_report(title: str, blocks: Sequence[Block], folder: str | os.PathLike, name: str = "report") -> list[Path]:
@@ -75,17 +84,17 @@ def write_report(title: str, blocks: Sequence[Block], folder: str | os.PathLike,
     Returns:
         The two paths.
     """
-    folder, parts, pictures = Path(folder), [f"# {title}"], {}
+    folder, parts, pictures = Path(folder), [inert(f"# {' '.join(title.split())}")], {}
     for block in blocks:
         match block:
             case Picture(path, caption):
                 link = _MARKDOWN.normalizeLink(Path(os.path.relpath(path, folder)).as_posix())
                 pictures[link] = path
-                parts.append(f"![{caption}]({link})\n\n*{caption}*")
-            case Table():
+                parts.append(inert(f"![{caption}]({link})\n\n*{caption}*"))
+            case str():
+                parts.append(inert(block))
+            case _:
                 parts.append(block.to_markdown())
-            case text:
-                parts.append(text)
     markdown = "\n\n".join(parts) + "\n"
     contents = {"md": markdown, "html": to_html(markdown, pictures)}
     paths = [folder / f"{name}.{suffix}" for suffix in contents]
@@ -100,7 +109,7 @@ def to_html(markdown: str, pictures: Mapping[str, Path]) -> str:
     Args:
         pictures: PNG by the link in the Markdown; other images are left out but for their captions.
     """
-    tokens, links = _MARKDOWN.parse(markdown), []
+    tokens, links, anchors = _MARKDOWN.parse(markdown), [], {""}
     render = _MARKDOWN.renderer
     for opening, inline in itertools.pairwise(tokens):
         for token in inline.children or ():
@@ -109,11 +118,14 @@ def to_html(markdown: str, pictures: Mapping[str, Path]) -> str:
             elif token.type == "image":
                 token.type = "text"
         if opening.type == "heading_open" and opening.tag == "h2":
-            anchor = re.sub(r"[^a-z0-9]+", "-", inline.content.lower()).strip("-")
+            anchor = re.sub(r"[\W_]+", "-", inline.content.lower()).strip("-")
+            while anchor in anchors:
+                anchor += "-"
+            anchors.add(anchor)
             opening.attrSet("id", anchor)
             links.append(f'<a href="#{anchor}">{render.renderInline(inline.children, _MARKDOWN.options, {})}</a>')
     head, body = (render.render(some, _MARKDOWN.options, {}) for some in (tokens[:3], tokens[3:]))
-    title = html.escape(tokens[1].content)
+    title = html.escape("".join(token.content for token in tokens[1].children))
     return _PAGE.format(title=title, style=_STYLE, head=head, links="\n".join(links), body=body)
 
 

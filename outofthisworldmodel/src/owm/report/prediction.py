@@ -1,5 +1,6 @@
 """What `owm evaluate prediction` left in a folder, as blocks of a report."""
 
+import itertools
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,11 +19,17 @@ def prediction_blocks(folder: Path, figures: Path) -> Iterator[Block]:
 
     Raises:
         FileNotFoundError: the folder holds no `prediction.json`; at once.
+        ValueError: it is damaged; at once.
     """
-    return _blocks(json.loads((folder / "prediction.json").read_text(encoding="utf-8")), folder, figures)
+    file = folder / "prediction.json"
+    try:
+        tables = list(_tables(json.loads(file.read_text(encoding="utf-8"))))
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{file} is damaged ({error!r}): let `owm evaluate prediction` write it again") from None
+    return itertools.chain(tables, _pictures(folder, figures))
 
 
-def _blocks(rows: Mapping[str, Any], folder: Path, figures: Path) -> Iterator[Block]:
+def _tables(rows: Mapping[str, Any]) -> Iterator[Block]:
     yield "## Prediction"
     yield (
         "Open loop under the true future actions, against the noiseless truth; means over windows of the same instants "
@@ -47,6 +54,9 @@ def _blocks(rows: Mapping[str, Any], folder: Path, figures: Path) -> Iterator[Bl
         columns = ["position; attitude at", *(f"{s:g} s" for s in _SECONDS)]
         caption = f"Coverage of {'/'.join(levels)} % and spread over error, of the position and of the attitude."
         yield Table(columns, _cells(some, calibrated), caption)
+
+
+def _pictures(folder: Path, figures: Path) -> Iterator[Block]:
     for name, caption in _PICTURES.items():
         if (folder / f"{name}.png").is_file():
             figures.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,8 @@
 """A declared table of flights: policies times planner variants times conditions."""
 
 import tomllib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -82,10 +83,17 @@ class Matrix(Frozen):
     def _ports(cls, value):
         for name in value:
             port_index(name)
+        if again := twice(value):
+            raise ValueError(f"ports must differ, got {again!r} twice")
         return value
 
     @model_validator(mode="after")
     def _labels(self) -> "Matrix":
+        for label in self.policies:
+            if not (sources := self.sources(label)) or twice(sources):
+                raise ValueError(f"policy {label!r} must have a source, or several different ones, got {sources}")
+        if again := twice(slug(study.title).casefold() for study in self.studies):
+            raise ValueError(f"titles of studies must differ in letters and digits, got {again!r} twice")
         for study in self.studies:
             for label in (*study.policies, *study.against):
                 if label not in self.policies:
@@ -148,10 +156,16 @@ def row_name(label: str, planner: str | None, condition: str = "nominal") -> str
     return ", ".join(parts)
 
 
+def twice(names: Iterable[str]) -> str | None:
+    """The first name that comes again."""
+    return next((name for name, count in Counter(names).items() if count > 1), None)
+
+
 def rows_of(matrix: Matrix) -> list[Row]:
     """Every row once, flown as often as the study that asks most of it.
 
     Raises:
+        ValueError: two rows would have one folder, or one name in the report.
         ValueError, FileNotFoundError: a policy is unknown.
     """
     rows: dict[tuple, Row] = {}
@@ -162,7 +176,21 @@ def rows_of(matrix: Matrix) -> list[Row]:
                 key = (label, planner, condition, copy)
                 flights = max(asked, rows[key].flights if key in rows else 0)
                 rows[key] = Row(label, source, copy, planner, condition, flights)
+    _check_apart([(row.folder, row) for row in rows.values()])
+    _check_apart([(slug(row_name(*row.key)), row) for row in rows.values() if not row.copy])
     return list(rows.values())
+
+
+def _check_apart(named: Iterable[tuple[str, Row]]) -> None:
+    """Refuse rows whose names are the same, or would be where a file system knows no capital letters."""
+    known: dict[str, Row] = {}
+    for name, row in named:
+        other = known.setdefault(name.casefold(), row)
+        if other is not row:
+            raise ValueError(
+                f"policies {other.label!r} and {row.label!r} would share the name {name!r} in folder and report: "
+                "rename one of them, so that they differ in letters or digits"
+            )
 
 
 def flights_asked(matrix: Matrix, study: Study, key: tuple[str, str | None, str]) -> int:

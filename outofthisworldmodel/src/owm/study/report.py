@@ -17,7 +17,7 @@ from jaxtyping import Int
 from owm import __version__
 from owm.catalogue.policies import GIVEN, GIVEN_COLUMNS, Given, checkpoint_folder, kind_of
 from owm.checkpoint import read_header
-from owm.report.page import Block, Picture, Table, bullets, code, write_report
+from owm.report.page import Block, Code, Picture, Table, bullets, write_report
 from owm.report.paper import DIFFERENCES, NOT_ALIKE, PLANNER_BY_PORT, PPO_BY_PORT, paper_table
 from owm.report.plots import port_figure, speed_figure, tolerance_figure, trajectory_figure
 from owm.report.tables import (
@@ -195,7 +195,7 @@ def _figures(drawn: Sequence[Flights], figures: Path, name: str) -> Iterator[Blo
         "speed": (speed_figure(drawn), "Speed against range, all decisions: medians and the middle four fifths."),
     }
     for kind, (figure, caption) in pictures.items():
-        path = figures / f"{name}_{kind}.png"
+        path = figures / f"{kind}_{name}.png"
         save_figure(figure, path, dpi=100)
         yield Picture(path, caption)
 
@@ -263,19 +263,19 @@ def _paper(matrix: Matrix, flown: Flown) -> Iterator[Block]:
 def _run(matrix: Matrix, out: Path, commands: str) -> Iterator[Block]:
     yield "## How this was run"
     if commands:
-        yield code(commands)
+        yield Code(commands)
     packages = ("jax", "jaxlib", "numpy", "gymnasium", "equinox")
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in packages)
     stores = [json.loads(path.read_text(encoding="utf-8")) for path in sorted((out / "flights").rglob("row.json"))]
-    sources = sorted({port["source"] for store in stores for port in store["ports"].values()})
-    seconds = sum(port["seconds"] for store in stores for port in store["ports"].values())
+    ports = [port for store in stores for port in store.get("ports", {}).values()]
+    sources, seconds = sorted({port["source"] for port in ports}), sum(port["seconds"] for port in ports)
     yield (
         f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} "
         f"processors; outofthisworldmodel {__version__}, {versions}. {seconds / 60:.0f} minutes of flying in all "
         f"processes, compilation included, by source code of digest {', '.join(sources)}. Everything follows from seed "
         f"{matrix.seed}."
     )
-    yield code(json.dumps(matrix.model_dump(mode="json", exclude_defaults=True), indent=1))
+    yield Code(json.dumps(matrix.model_dump(mode="json", exclude_defaults=True), indent=1))
 
 
 def _write_csv(flown: Flown, out: Path) -> Path:

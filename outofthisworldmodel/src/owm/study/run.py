@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from owm import __version__
-from owm.catalogue.policies import content_digest, load_model, load_policy
+from owm.catalogue.policies import OWN, content_digest, kind_of, load_model, load_policy
 from owm.planning.config import PlannerConfig
 from owm.scores.coasting import add_coasts
 from owm.scores.docking import fly_episodes, trials
@@ -23,7 +23,8 @@ from owm.study.matrix import PLANNERS, Matrix, Row, row_name, rows_of
 from owm.study.workers import fly_side_by_side, missing_flights, spell
 from owm_envs.claims import Claim
 from owm_envs.files import FolderTaken, output_folder, remove
-from owm_envs.station import PORT_NAMES
+from owm_envs.policies import SlotPolicy
+from owm_envs.station import PORT_NAMES, port_index
 from owm_envs.words import unknown
 
 
@@ -107,29 +108,31 @@ def run_matrix(
     flown_before = any(output_folder(out).glob(_ROWS))  # perhaps by a version that did not claim the folder
     claim = Claim(out, {"command": command}, besides=os.listdir(output_folder(out)) if flown_before else ())
     stores = [Store(claim.folder, row, conditions[row.condition], matrix, fresh=fresh) for row in rows]
-    _settle_rest(claim.folder, stores, fresh)
-    to_fly = [store for store in stores if fly and store.missing()]
-    planned = {store.row.source: store.condition.told() for store in to_fly if store.row.planner}
-    for source, told in planned.items():
+    planned = {store.row.source: store.condition.told() for store in stores if store.row.planner}
+    for source, told in planned.items() if fly else ():
         load_model(source, told)  # so that one that cannot be read is told of now, not after an hour of flying
-    claim.note()
-    total = sum(row.flights for row in rows) * len(matrix.ports)
-    if processes > 1 and to_fly:
-        fly_side_by_side(to_fly, slots, processes, lambda left, *what: report(total - left, total, *what))
-    else:
-        _fly_in_turn(stores, to_fly, slots, total, report)
-    flown: dict[tuple, list[Flights]] = {}
-    for store in stores:
-        if not store.missing():
-            flown.setdefault(store.row.key, []).append(store.load())
-    done = total - missing_flights(stores)
-    report(done, total, "all flown" if done == total else "the rest has not been flown", "")
-    return flown
+    with claim:
+        missing_flights(stores)  # once more: another process may have been at it
+        _settle_rest(claim.folder, stores, fresh)
+        to_fly = [store for store in stores if fly and store.missing()]
+        claim.note()
+        total = sum(row.flights for row in rows) * len(matrix.ports)
+        if processes > 1 and to_fly:
+            fly_side_by_side(to_fly, slots, processes, lambda left, *what: report(total - left, total, *what))
+        else:
+            _fly_in_turn(stores, to_fly, slots, total, report)
+        flown: dict[tuple, list[Flights]] = {}
+        for store in stores:
+            if not store.missing():
+                flown.setdefault(store.row.key, []).append(store.load())
+        done = total - missing_flights(stores)
+        report(done, total, "all flown" if done == total else "the rest has not been flown", "")
+        return flown
 
 
 def _settle_rest(out: Path, stores: list["Store"], fresh: bool) -> None:
     """Refuse flights in the folder that no store asks for, or remove them."""
-    asked = {store.folder / f"{port}.npz" for store in stores for port in store.matrix.ports}
+    asked = {store.folder / _file(port) for store in stores for port in store.matrix.ports}
     asked |= {store.claim.file for store in stores}
     rest = {file for row in out.glob(_ROWS) for file in (row, *row.parent.glob("[!.]*.npz"))} - asked
     if rest and not fresh:
@@ -165,6 +168,8 @@ def _fly_in_turn(stores: list["Store"], to_fly: list["Store"], slots: int, total
 class Store:
     """The flights of one row on disk, a file a port, and all that they depend on.
 
+    Files that were damaged since they were noted, or never were, count as missing: the same flights are flown again.
+
     Raises:
         FolderTaken: the folder holds flights of other settings.
     """
@@ -172,12 +177,16 @@ class Store:
     def __init__(self, out: Path, row: Row, condition: Condition, matrix: Matrix, *, fresh: bool = False):
         self.row, self.condition, self.matrix = row, condition, matrix
         self.policy: Any = None
+        made = [_file(port) for port in PORT_NAMES]
         self.claim = Claim(
             out / "flights" / row.folder,
             {"settings": self._settings()},
             "row.json",
-            made=[f"{port}.npz" for port in PORT_NAMES],
+            besides=made,
+            made=made,
+            facts={"ports": {...: {"seconds": (int, float), "source": str}}},
             replace=fresh,
+            renew=True,
             instead="or fly again with --fresh",
         )
         self.folder = self.claim.folder
@@ -189,7 +198,7 @@ class Store:
 
     def missing(self) -> list[str]:
         """Ports not flown yet."""
-        return [port for port in self.matrix.ports if not (self.folder / f"{port}.npz").is_file()]
+        return [port for port in self.matrix.ports if not self.claim.holds(_file(port))]
 
     def fly(self, port: str, slots: int, progress: Callable[..., None]) -> float:
         """Fly to one port and keep the flights; the wall time it took, s."""
@@ -199,21 +208,26 @@ class Store:
             planner = PlannerConfig(**PLANNERS[row.planner]) if row.planner else None
             chart = _field(self.condition.map)
             self.policy = load_policy(row.source, self.condition.told(), slots, matrix.seed, planner, chart)
+        if isinstance(self.policy, SlotPolicy):
+            # Draws follow the number of the episode: that of a run to all ports in turn, whatever has been flown.
+            self.policy.restart(port_index(port) * -(-row.flights // slots))
         self.claim.note(version=__version__, ports=self._ports())
         seeds, ports = trials([port], row.flights, matrix.seed)
         flown = fly_episodes(
             self.policy, self.condition.flown(), seeds, ports, progress, slots=slots, name=row_name(*row.key)
         )
         flown = add_coasts(flown, _field(None))
-        flown.save(self.folder / f"{port}.npz")
+        flown.save(self.folder / _file(port))
         seconds = time.perf_counter() - began
         facts = {"seconds": round(seconds, 2), "source": source_digest()[:16]}
-        self.claim.note(ports={**self._ports(), port: facts})
+        self.claim.seal(_file(port), ports={**self._ports(), port: facts})
+        if kind_of(row.source) == OWN:
+            self.policy = None  # who knows what it keeps from one port to the next
         return seconds
 
     def load(self) -> Flights:
         """All ports' flights."""
-        parts = [Flights.load(self.folder / f"{port}.npz") for port in self.matrix.ports]
+        parts = [Flights.load(self.folder / _file(port)) for port in self.matrix.ports]
         return replace(join(parts), policy=row_name(*self.row.key))
 
     def _ports(self) -> dict[str, dict[str, Any]]:
@@ -230,6 +244,11 @@ class Store:
             "flights": self.row.flights,
             "seed": self.matrix.seed,
         }
+
+
+def _file(port: str) -> str:
+    """Where the flights to a port lie."""
+    return f"{port}.npz"
 
 
 @lru_cache(maxsize=2)

@@ -25,6 +25,7 @@ from owm.training.metrics import Metrics, View
 from owm.training.step import TrainState, batch_mesh, initial_state, put, train_chunk
 from owm.training.validation import coasting_score, validate, validation_sets
 from owm_envs.claims import Claim
+from owm_envs.shell import terminal
 from owm_envs.view import View as RelativeView
 
 
@@ -88,20 +89,41 @@ def train(
         "train": episodes_train.digest(),
         "val": episodes_val.digest(),
     }
-    claim = Claim(out_dir, fingerprint, made=rundir.PARTS, replace=not resume)
-    if not resume:
-        claim.start_over()
-    out, found = claim.folder, claim.found and claim.found["settled"]
-    metrics_file = out / "metrics.jsonl"
-    if found and (out / "model").exists():
+    form = {"settled": {"batch": int, "devices": int}}
+    claim = Claim(out_dir, fingerprint, made=rundir.PARTS, facts=form, replace=not resume)
+    out = claim.folder
+    if resume and _found(claim) and (out / "model").exists():
         model = read_checkpoint(out / "model", partial(LearnedWorldModel.from_contents, expect=config.model))
         said = read_header(out / "model").about
-        return TrainResult(model, said.score, said.step, out / "model", metrics_file)
+        return TrainResult(model, said.score, said.step, out / "model", out / "metrics.jsonl")
+    statistics = _fitted(config, episodes_train)
+    console = terminal() if console is None else console
+    with claim:
+        if not resume:
+            claim.start_over()
+        return _go_on(config, statistics, episodes_train, episodes_val, claim, console, name, dict(about or {}), wandb)
 
-    console = Console() if console is None else console
+
+def _found(claim: Claim) -> dict[str, int] | None:
+    """Batch size and devices as an earlier start settled them, if one did."""
+    return (claim.found or {}).get("settled")
+
+
+def _go_on(
+    config: TrainConfig,
+    statistics: Any,
+    episodes_train: Episodes,
+    episodes_val: Episodes,
+    claim: Claim,
+    console: Console,
+    name: str,
+    about: dict[str, Any],
+    wandb: str | None,
+) -> TrainResult:
+    """Settle batch size and devices, unless an earlier start has, train, and publish; the folder is this process's."""
+    out, found = claim.folder, _found(claim)
     devices = _devices(found["devices"] if found else config.devices)
     mesh = batch_mesh(devices)
-    statistics = _fitted(config, episodes_train)
     rows = jax.tree.map(jnp.asarray, (episodes_train.observation, episodes_train.action))
     dtype = rows[1].dtype
     depths = {depth for _, depth in config.rollouts}
@@ -130,13 +152,15 @@ def train(
             raise ValueError(f"batch must be a multiple of devices={devices}, got {batch}")
         found = {"batch": batch, "devices": devices}
         claim.note(settled=found)
+    if not 1 <= found["batch"] <= windows:
+        raise CheckpointError(f"{claim.file} is damaged: a batch of {found['batch']} windows, of {windows} in all")
     config = config.settled(windows, **found)
     said = {
-        **(about or {}),
+        **about,
         "train_steps": episodes_train.steps,
         "parameters": sum(leaf.size for leaf in jax.tree.leaves(jax.eval_shape(lambda: initial_state(config)).network)),
         "settled": config.model_dump(mode="json", exclude={"model"}),
-        "run": fingerprint,
+        "run": claim.asked,
     }
     state = _run(config, statistics, rows, starts, episodes_val, out, mesh, dtype, console, name, said, wandb)
     model = LearnedWorldModel(config.model, Params(state.best_network, statistics), name)
@@ -148,7 +172,7 @@ def train(
         )
     said |= {"score": float(state.best_score), "step": int(state.best_step)}
     save_world_model(model, out / "model", about=said)
-    return TrainResult(model, said["score"], said["step"], out / "model", metrics_file)
+    return TrainResult(model, said["score"], said["step"], out / "model", out / "metrics.jsonl")
 
 
 def _run(
@@ -246,10 +270,10 @@ def _devices(wanted: int | None) -> int:
     """How many local devices share a batch.
 
     Raises:
-        ValueError: there are fewer than wanted.
+        ValueError: there are fewer than wanted, or none is.
     """
     there = jax.local_device_count()
-    if wanted is not None and wanted > there:
+    if wanted is not None and not 0 < wanted <= there:
         raise ValueError(f"devices must be at most {there}, the local devices, got {wanted}")
     return wanted or there
 

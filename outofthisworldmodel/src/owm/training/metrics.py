@@ -1,6 +1,8 @@
 """What a run tells while it goes: JSON lines, TensorBoard events, Weights & Biases, and a view in the terminal."""
 
+import contextlib
 import json
+import re
 import secrets
 import time
 from pathlib import Path
@@ -41,7 +43,7 @@ class Metrics:
             import wandb
 
             known = out / "wandb" / "id"
-            name = known.read_text(encoding="ascii") if known.is_file() else secrets.token_hex(4)
+            name = _known_id(known) or secrets.token_hex(4)
             write_atomically(known, lambda stream: stream.write(name), text=True)
             self._online = wandb.init(
                 project=project, dir=out, id=name, name=out.name, resume="allow", config=config,
@@ -67,16 +69,21 @@ class Metrics:
             self._online.log(line, step=line["step"])
 
 
+def _known_id(file: Path) -> str | None:
+    """The id under which a run is known there already; it becomes part of a path, so that it has to be one of ours."""
+    found = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
+    return found if re.fullmatch(r"[0-9a-f]{8}", found) else None
+
+
 def _truncate(file: Path, step: int) -> None:
+    """Keep the lines of a metrics file up to a step: those that are whole."""
     if not file.exists():
         return
     kept = []
-    for text in file.read_text(encoding="utf-8").splitlines():
-        try:
+    for text in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):  # cut short by a kill, or damaged
             if json.loads(text)["step"] <= step:
                 kept.append(text)
-        except (json.JSONDecodeError, KeyError):
-            break  # a line cut short by the kill
     write_atomically(file, lambda stream: stream.writelines(text + "\n" for text in kept), text=True)
 
 

@@ -21,6 +21,7 @@ from owm.baselines.ppo.vec_env import make_env
 from owm.training.metrics import Metrics
 from owm_envs.claims import Claim
 from owm_envs.files import remove, replace_folder, write_atomically
+from owm_envs.shell import terminal
 from owm_envs.station import TRAIN_PORTS
 
 _VALIDATION_SEED = 2**41
@@ -47,23 +48,25 @@ def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> d
     Raises:
         FolderTaken: `out` holds a run of another configuration, or something else.
     """
-    console = Console() if console is None else console
-    claim = Claim(out, config.model_dump(mode="json", exclude={"steps"}))
-    claim.note()
-    out = claim.folder
+    console = terminal() if console is None else console
+    with Claim(out, config.model_dump(mode="json", exclude={"steps"})) as claim:
+        claim.note()
+        return _train(config, claim.folder, console)
+
+
+def _train(config: PPOConfig, out: Path, console: Console) -> dict[str, Any]:
+    """Go on from the latest save, or begin; the folder is this process's."""
     torch.set_num_threads(1)  # a small network gains nothing from more, and they would disturb the simulation
     saves = sorted((path for path in (out / "state").glob("*") if path.name.isdigit()), key=lambda path: int(path.name))
     step = int(saves[-1].name) if saves else 0
     venv = make_env(config, config.envs, config.seed + step, training=True)
     trial = make_env(config, config.validation_episodes, _VALIDATION_SEED, training=False)
     trial.obs_rms = venv.obs_rms
+    model = _resumed(config, venv, saves[-1]) if saves else _new_model(config, venv)
     if saves:
-        model = _resumed(config, venv, saves[-1])
         _restore_statistics(venv, json.loads((saves[-1] / "statistics.json").read_text(encoding="utf-8")))
         trial.obs_rms = venv.obs_rms
         set_random_seed(config.seed + step)
-    else:
-        model = _new_model(config, venv)
     with Metrics(out, step or -1) as metrics:
         lines = _lines(metrics.file)
         spent = lines[-1]["seconds"] if lines else 0.0
