@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from hashlib import sha256
 from typing import Any
 
-from owm_envs.files import FolderTaken, check_free, output_folder, remove, write_atomically
+from owm_envs.files import FolderTaken, check_free, output_folder, read_text, remove, write_atomically
 
 
 class Claim:
@@ -51,11 +51,11 @@ class Claim:
             check_free(self.folder, besides)
             return
         try:
-            self.found = dict(json.loads(self.file.read_text(encoding="utf-8")))
+            self.found = dict(json.loads(read_text(self.file)))
             differ = list(_differences(self.asked, self.found))
             why = f"{self.folder} holds another run, which differs in {', '.join(differ[:4])}" if differ else ""
         except (ValueError, TypeError):
-            why = f"{self.file} is damaged"
+            why = f"{self.folder} holds a run whose {marker} is damaged"
         if why and not replace:
             raise FolderTaken(f"{why}: choose another folder (--out), {instead}")
         if why:
