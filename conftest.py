@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import gc
+import os
 import sys
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from local_hub import LocalHub
 
 # Tracing makes objects by the million, few of them in circles: by default the collector takes a tenth of the time.
 gc.set_threshold(100_000, 50, 50)
+# To wait for the disk costs more than all else that writes; `test_files.py` sees to it that it is waited for.
+os.fsync = lambda descriptor: None
 
 STRICT = {
     "numpy_dtype_promotion": "strict",

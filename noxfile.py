@@ -200,7 +200,8 @@ def browser(session: nox.Session) -> None:
 def hub(session: nox.Session, client: str) -> None:
     """Test push and download with the oldest and the newest client of the Hugging Face hub."""
     _install(session, *_editable("test"), f"huggingface-hub{client}")
-    tests = ("outofthisworldmodel-envs/tests/test_dataset_hub.py", "outofthisworldmodel/tests/test_hub.py")
+    tests = ["outofthisworldmodel/tests/test_hub.py"]
+    tests += [f"outofthisworldmodel-envs/tests/test_{name}.py" for name in ("dataset_hub", "endless")]
     session.run("pytest", *tests, *session.posargs, env=_test_environment(session))
 
 

@@ -59,8 +59,8 @@ class Repo:
 class Fault:
     """What is to go wrong with requests whose path holds `where`.
 
-    `how` is an HTTP status, "drop" (the connection breaks halfway), "wrong" (other bytes, as many) or "hold" (nothing
-    comes after half of them).
+    `how` is an HTTP status, "drop" (the connection breaks halfway), "wrong" (other bytes, as many), "hold" (nothing
+    comes after half of them) or "silent" (no answer comes at all).
     """
 
     where: str
@@ -124,8 +124,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.hub.asked.append(f"{method} {url.path}")
         self.fault = None
         for fault in self.hub.faults:
-            # Nothing but a status can go wrong with the answer to a HEAD.
-            if method == "HEAD" and not isinstance(fault.how, int):
+            # An answer to a HEAD has no bytes with which something could go wrong.
+            if method == "HEAD" and fault.how in ("drop", "wrong", "hold"):
                 continue
             if fault.times > 0 and fault.where in url.path and fault.method in ("", method):
                 fault.times -= 1
@@ -133,6 +133,10 @@ class _Handler(BaseHTTPRequestHandler):
                 break
         if self.fault and isinstance(self.fault.how, int):
             return self._error(self.fault.how, self.fault.code)
+        if self.fault and self.fault.how == "silent":
+            self.close_connection = True
+            self.hub._end.wait()
+            return
         outside, token = url.path.startswith(("/cdn/", "/lfs/")), self.headers.get("Authorization")
         if self.hub.closed and not outside and token != f"Bearer {TOKEN}":
             return self._error(401)

@@ -15,6 +15,9 @@ INFO = "train/meta/info.json"
 STATE, TRUTH = "observation.state", "observation.environment_state"
 
 
+_AWAY = np.array([400.0] + [0.0] * 12)
+
+
 def rewrite(path: Path, change: Callable[[dict[str, np.ndarray]], dict[str, np.ndarray] | None]) -> None:
     """Change the columns of a Parquet file, as arrays (rows, ...); its row groups keep their sizes."""
     footer = pq.read_metadata(path)
@@ -233,6 +236,8 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "single truth": _as_type(TRUTH, "float32"),
     "integer rewards": _as_type("next.reward", "int64"),
     "flags as numbers": _as_type("next.done", "int64"),
+    "years later": in_rows(lambda c: c | {"epoch": c["epoch"] + [1000.0, 0.0]}),
+    "flown elsewhere": in_rows(lambda c: c | {name: c[name] + _AWAY.astype(c[name].dtype) for name in (STATE, TRUTH)}),
     "port -1": _all("port", -1),
     "port 99": _all("port", 99),
     "port of another task": lambda root: (_all("port", 0)(root), _all("task_index", 0)(root)),
@@ -265,6 +270,12 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "fps text": told(INFO, "fps", value="20"),
     "fps true": told(INFO, "fps", value=True),
     "fps nothing": told(INFO, "fps", value=None),
+    "fps beyond every float": told(INFO, "fps", value=10**400),
+    "episodes beyond every float": told(INFO, "total_episodes", value=10**400),
+    "numbers called otherwise": told(INFO, "features", "action", "names", value=list("xyzxyz")),
+    "a task less": told(INFO, "total_tasks", value=7),
+    "splits of another": told(INFO, "splits", value={"train": "0:1"}),
+    "paths of long names": told(INFO, "data_path", value="data/" + "x" * 300 + "/{chunk_index}/{file_index}.parquet"),
     "version 2.1": told(INFO, "codebase_version", value="v2.1"),
     "version 9": told(INFO, "codebase_version", value="v9"),
     "version a number": told(INFO, "codebase_version", value=3),
@@ -290,6 +301,11 @@ DAMAGES: dict[str, Callable[[Path], None]] = {
     "statistics ragged": told("train/meta/stats.json", "action", "mean", value=[[1], [1, 2]]),
     "statistics negative": told("train/meta/stats.json", "action", "std", value=[-1.0] * 6),
     "statistics not finite": told("train/meta/stats.json", "action", "mean", value=[float("nan")] * 6),
+    "statistics the wrong way round": told("train/meta/stats.json", "action", "max", value=[-3000.0] * 6),
+    "statistics of a mean outside": told("train/meta/stats.json", "action", "mean", value=[3000.0] * 6),
+    "statistics of a spread too wide": told("train/meta/stats.json", "action", "std", value=[1e5] * 6),
+    "statistics of no rows": told("train/meta/stats.json", "action", "count", value=[0]),
+    "statistics beyond every float": told("train/meta/stats.json", "action", "max", value=[10**400] * 6),
     "statistics of nothing": told("train/meta/stats.json", "action", value={}),
     "statistics of a column less": _file("train/meta/stats.json", b"{}"),
     "statistics gone": _file("train/meta/stats.json", None),

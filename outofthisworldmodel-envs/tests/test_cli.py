@@ -62,7 +62,7 @@ def test_config_show_tells_units_and_schema_is_json(capsys):
         ("horizn = 3.0\n", "did you mean 'horizon'"),
         ("[chaser]\nmas = 3.0\n", "did you mean 'chaser.mass'"),
         ('ports = ["zvezda_aff"]\n', "did you mean 'zvezda_aft'"),
-        ("dt = -1.0\n", "dt: must be greater than 0, got -1.0 s"),
+        ("dt = -1.0\n", "dt: must be at least 0.0001, got -1.0 s"),
         ("steps_per_action = 1.5\n", "steps_per_action: must be a whole number, got 1.5"),
         ("hull = 3\n", "hull: must be 'iss' or a list, got 3"),
         ("[chief]\nreference_epoch = 07:00:00\n", "reference_epoch: must be a date and time, such as 2026-08-01T"),

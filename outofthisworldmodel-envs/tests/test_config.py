@@ -100,14 +100,14 @@ def test_every_number_has_its_unit(path):
 
 
 def test_notes_tell_unit_and_bounds():
-    assert note(DockingConfig, ("chaser", "mass")) == "kg, > 0"
-    assert note(DockingConfig, ("chaser", "inertia")) == "kg m2, > 0"
+    assert note(DockingConfig, ("chaser", "mass")) == "kg, >= 1, <= 10000000"
+    assert note(DockingConfig, ("chaser", "inertia")) == "kg m2, >= 0.1, <= 10000000000"
     assert note(DockingConfig, ("reset", "attitude_error_deg")) == "deg, >= 0, <= 180"
     assert note(DockingConfig, ("chief", "eccentricity")) == "dimensionless, >= 0, < 1"
     assert note(DockingConfig, ("fidelity",)) == "one of iss, iss-hcw, iss-numerical"
     schema = json_schema(DockingConfig)
     mass = schema["$defs"]["ChaserConfig"]["properties"]["mass"]
-    assert (mass["unit"], mass["exclusiveMinimum"], mass["default"]) == ("kg", 0, 12_000.0)
+    assert (mass["unit"], mass["minimum"], mass["default"]) == ("kg", 1, 12_000.0)
     assert {"enum": ["none", "cooperative", "noncooperative"]} in schema["properties"]["noise"]["anyOf"]
 
 
@@ -155,10 +155,12 @@ def _changed(path, value):
         return "2027-01-01T00:00:00Z"
     if isinstance(value, bool):
         return not value
+    if path[-1] == "chief_eccentricity":
+        return (0.0, 0.01)
     if isinstance(value, tuple):
         return (value[0], *[x + 1 if isinstance(x, int) else x + 0.5 for x in value[1:]])
     if path == ("chief", "eccentricity"):
-        return 0.1
+        return 0.01
     return value + 1 if isinstance(value, int) else value * 1.01 + 0.01
 
 
@@ -203,7 +205,7 @@ def test_a_field_may_change_within_a_named_preset():
         ({"reward": "rll"}, "did you mean 'rl'"),
         ({"ports": ["zvezda_aff"]}, "did you mean 'zvezda_aft'"),
         ({"ports": []}, "ports"),
-        ({"dt": -1.0}, "dt.*greater than 0, got -1.0 s"),
+        ({"dt": -1.0}, "dt.*at least 0.0001, got -1.0 s"),
         ({"dt": float("nan")}, "dt.*finite number, got nan s"),
         ({"chaser": {"mass": "heavy"}}, "chaser.mass.*got 'heavy' kg"),
         ({"hull": []}, "hull"),

@@ -1,5 +1,6 @@
 """What is damaged is refused in one line, by each reader; what only a recomputation can know, by `verify`."""
 
+import json
 import re
 import shutil
 import sys
@@ -124,6 +125,37 @@ def test_without_a_manifest_page_checksums_keep_the_rows(copy):
     assert refused > 40
 
 
+WRONG = [None, True, -1, 1e300, 10**400, "x" * 300, "../x", [], {}, [[1], 2], "\ud800", {"": [None]}]
+"""In place of any value of a JSON file."""
+
+
+def _mutations(value, rng: np.random.Generator):
+    """A table with one of its values, at any depth, replaced."""
+    if not isinstance(value, dict | list) or not value or rng.random() < 0.1:
+        return WRONG[rng.integers(len(WRONG))]
+    changed = value.copy()
+    place = list(value)[rng.integers(len(value))] if isinstance(value, dict) else int(rng.integers(len(value)))
+    changed[place] = _mutations(value[place], rng)
+    return changed
+
+
+@pytest.mark.parametrize("name", ["train/meta/info.json", "train/meta/stats.json", "generation.json", MANIFEST])
+def test_whatever_a_table_tells_is_read_or_refused_in_a_line(copy, name):
+    if name != MANIFEST:
+        (copy / MANIFEST).unlink()
+    rng, path, refused = np.random.default_rng(3), copy / name, 0
+    whole = json.loads(path.read_text())
+    for _ in range(40):
+        path.write_text(json.dumps(_mutations(whole, rng)))
+        try:
+            dataset = datasets.open(copy, "train")
+            assert dataset[0].action.shape[1] == 6 and dataset.statistics
+        except (ValueError, FileNotFoundError) as error:
+            assert "\n" not in str(error) and len(str(error)) < 2000
+            refused += 1
+    assert refused > 5
+
+
 def _softer(columns):
     """Errors of half as much again: none is larger than can be."""
     off = columns["observation.state"][:, :3] - columns["observation.environment_state"][:, :3]
@@ -136,6 +168,13 @@ def _pushed(columns):
 
 SUBTLE = {
     "an action of another flight": (in_rows(_pushed), "dynamics", r"episode 0 is .* off a step of the dynamics"),
+    "rewards of others": (
+        in_rows(lambda c: c | {"next.reward": -c["next.reward"]}), "reward", "next.reward of episode 0 is not that of",
+    ),
+    "rewards in another order": (
+        in_rows(lambda c: c | {"next.reward": np.append(c["next.reward"][20::-1], c["next.reward"][21:])}), "reward",
+        "next.reward of episode 0 is not that of",
+    ),
     "louder noise": (in_rows(_softer), "noise", "the measured position errs 1.5.* times as much as configured"),
     "other statistics": (
         told("val/meta/stats.json", "action", "mean", value=[0.0] * 6), "statistics", "mean of action is",
@@ -165,7 +204,7 @@ def test_verify_finds_nothing_wrong_with_a_sound_dataset(sound):
     report = verify(sound, said.append)
     assert report.sound and {finding.result for finding in report.findings} == {"ok"}
     found = {(finding.check, finding.split) for finding in report.findings}
-    checks = ("rows", "statistics", "dynamics", "noise")
+    checks = ("rows", "statistics", "dynamics", "reward", "noise")
     assert found >= {("hashes", ""), ("configuration", "")} | {(c, s) for c in checks for s in ("train", "val")}
     assert "train: physics" in said
 

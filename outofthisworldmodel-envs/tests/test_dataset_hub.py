@@ -348,6 +348,23 @@ def test_the_cards_command_records_the_same_run(run, monkeypatch, capsys):
     assert "complete already" in " ".join(capsys.readouterr().err.split())
 
 
+WAYS = {
+    "fetch": lambda: hub.fetch("user/set", kind="dataset"),
+    "fetch a commit": lambda: hub.fetch("user/set", "0" * 40, kind="dataset"),
+    "read": lambda: datasets.read("user/set", "train"),
+    "push": lambda: hub.push(hub.Repository("user/set", "dataset", {}, "m")),
+    "cache": hub.cache,
+    "address": lambda: hub.address("user/set", "dataset"),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_without_the_client_every_way_to_the_hub_says_what_is_missing(way, monkeypatch):
+    monkeypatch.setitem(sys.modules, "huggingface_hub", None)
+    with pytest.raises(ImportError, match="the hub needs its client: "):
+        WAYS[way]()
+
+
 def test_the_commands_are_quick_to_explain(tmp_path):
     program = "import sys; from owm_envs.cli import main\ntry: main(['push', '--help'])\nexcept SystemExit: pass\n"
     program += "print(sorted({'jax', 'pyarrow', 'huggingface_hub', 'cv2'} & set(sys.modules)), file=sys.stderr)"

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from owm_envs.files import FolderTaken, publish, replace_folder, write_atomically
+from owm_envs import files
+from owm_envs.files import FolderTaken, publish, replace_folder, staged, write_atomically
 
 MODEL = {"weights": b"w" * 9, "config.json": b"{}"}
 NEWER = {"weights": b"v" * 9, "config.json": b"[]"}
@@ -17,6 +18,7 @@ import os, signal, sys
 from pathlib import Path
 from owm_envs.files import publish, replace_folder
 
+os.fsync = lambda descriptor: None
 WRITES = {"os.rename", "os.remove", "os.rmdir", "os.mkdir", "shutil.copytree", "open"}
 
 def killed_at(step, work):
@@ -108,6 +110,53 @@ def test_a_write_that_fails_leaves_the_old_folder(home):
     assert tree(home) == {f"x/{name}": data for name, data in MODEL.items()}
 
 
+@pytest.mark.parametrize("write", ["a file", "a folder"])
+def test_bytes_are_on_the_disk_before_a_name_leads_to_them(home, write, monkeypatch):
+    """Else a loss of power leaves names of nothing."""
+    done = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: done.append(os.fstat(descriptor).st_size))
+    for name in ("replace", "rename"):
+        real = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda *paths, real=real: (done.append("named"), real(*paths)))
+    if write == "a file":
+        write_atomically("x", lambda file: file.write(b"w" * 9))
+        assert done == [9, "named"]
+    else:
+        replace_folder("x", MODEL)
+        assert sorted(done[:2]) == [2, 9] and done[2:] == ["named"]
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_what_killed_writers_left_goes_and_what_living_ones_write_stays(home, folder):
+    left = home / ".x.123.partial"
+    left.mkdir() if folder else left.write_bytes(b"half")
+    if folder:
+        (left / "new").mkdir()
+    with staged(home / "x", folder=folder) as living, staged(home / "x", folder=folder):
+        assert left.exists() and living.exists()
+    assert not left.exists()
+    with staged(home / "x", folder=folder) as living:
+        replace_folder("x", MODEL) if folder else write_atomically("x", lambda file: file.write(b"x"))
+        assert living.exists()
+    assert [path.name for path in home.iterdir()] == ["x"]
+    (home / ".y.1.partial").write_bytes(b"half of another")
+    write_atomically("z", lambda file: file.write(b"x"))
+    assert (home / ".y.1.partial").exists()
+
+
+@pytest.mark.skipif(files.fcntl is None, reason="what is open cannot be removed there")
+def test_what_another_process_writes_stays(home):
+    code = "import sys; from pathlib import Path; from owm_envs.files import staged\n"
+    code += "with staged(Path('x')) as place: print(place, flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=-1, stdout=-1, text=True) as other:
+        place = home / other.stdout.readline().strip()
+        write_atomically("x", lambda file: file.write(b"x"))
+        assert place.exists()
+        other.kill()
+    write_atomically("x", lambda file: file.write(b"x"))
+    assert not place.exists()
+
+
 @pytest.mark.parametrize("inside", [True, False])
 def test_publishing_into_a_folder_of_other_files_is_refused(home, inside, monkeypatch):
     finished = fill(home / "set.partial", {"README.md": b"card", "train/a": b"a", "generation.json": b"{}"})
@@ -190,3 +239,22 @@ print(step)
 """
     folder = tmp_path / "below"
     assert swept(script, folder / "model", place) >= 4
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="kills a forked process")
+def test_a_claim_killed_at_any_write_is_found_again(tmp_path):
+    """It is never taken for another run's, and leaves nothing behind."""
+    script = """
+from owm_envs.claims import Claim
+from owm_envs.files import remove
+out = Path(sys.argv[1])
+for step in range(1000):
+    remove(out)
+    going = killed_at(step, lambda: Claim(out, {"seed": 1}, "generation.json").note(done=True))
+    Claim(out, {"seed": 1}, "generation.json").note(done=True)
+    assert [f.name for f in out.iterdir()] == ["generation.json"], step
+    if not going:
+        break
+print(step)
+"""
+    assert swept(script, tmp_path / "set.partial") >= 2

@@ -17,7 +17,11 @@ if __name__ == "__main__":
     if used:
         import jax
         jax.numpy.zeros(3).block_until_ready()
-    envs = gymnasium.vector.AsyncVectorEnv([lambda: gymnasium.make("ISS-v0", horizon=0.2)] * 2)
+    if sys.argv[2] == "AsyncVectorEnv":
+        envs = gymnasium.vector.AsyncVectorEnv([lambda: gymnasium.make("ISS-v0", horizon=0.2)] * 2)
+    else:
+        module = gymnasium if sys.argv[2] == "gymnasium.make_vec" else owm_envs
+        envs = module.make_vec("ISS-v0", num_envs=2, vectorization_mode="async", horizon=0.2)
     try:
         observation, _ = envs.reset(seed=0)
         observation, *_ = envs.step(envs.action_space.sample())
@@ -29,11 +33,19 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize(("parent", "expected"), [("fresh", "flew 2"), ("used", "refused True")])
-def test_a_forked_environment_flies_or_says_why_not(tmp_path, parent, expected):
+@pytest.mark.parametrize(
+    ("parent", "made", "expected"),
+    [
+        ("fresh", "owm_envs.make_vec", "flew 2"),
+        ("used", "AsyncVectorEnv", "refused True"),
+        ("used", "gymnasium.make_vec", "refused True"),
+    ],
+)
+def test_a_forked_environment_flies_or_says_why_not(tmp_path, parent, made, expected):
     script = tmp_path / "fly.py"
     script.write_text(FLY, encoding="utf-8")
-    done = subprocess.run([sys.executable, str(script), parent], capture_output=True, text=True, timeout=120)
+    command = [sys.executable, str(script), parent, made]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.stdout.split("\n")[0] == expected, done.stderr[-2000:]
 
 

@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import owm_envs  # noqa: F401 - registers the ids
-from owm_envs.adapters.gymnasium import DockingGymEnv
+from owm_envs.adapters.gymnasium import DockingGymEnv, DockingVectorEnv
 from owm_envs.registration import IDS
 from owm_envs.station import PORT_NAMES
 from owm_envs.task.events import Outcome
@@ -352,7 +352,7 @@ def test_make_vec_takes_what_make_takes():
         *_, cut, _ = alone.step(ACTION)
         assert together.tolist() == [cut, cut]
     assert cut
-    with pytest.raises(ValueError, match="max_episode_steps must be an integer of at least 1, got 0"):
+    with pytest.raises(ValueError, match="max_episode_steps must be at least 1 and a whole number, got 0"):
         gymnasium.make_vec("ISSHCW-v0", num_envs=2, max_episode_steps=0)
 
 
@@ -361,3 +361,56 @@ def test_a_batch_says_how_it_starts_again_and_what_is_a_success(vector):
     assert env.autoreset_mode == AutoresetMode.NEXT_STEP
     _, info = env.reset(seed=0)
     assert info["is_success"].dtype == bool and not info["is_success"].any()
+
+
+MASKED = np.ma.masked_array(ACTION, mask=[0, 1, 0, 0, 0, 0])
+NO_ACTIONS = {
+    "complex": ACTION + 1j,
+    "masked": MASKED,
+    "text": [str(number) for number in ACTION],
+    "truth": ACTION > 0,
+    "nothing": [None] * 6,
+    "beyond every float": [10**400] * 6,
+    "ragged": [[1.0], [1.0, 2.0]],
+    "a mapping": {"force": ACTION},
+    "dates": ACTION.astype("datetime64[s]"),
+}
+
+
+@pytest.mark.parametrize("name", NO_ACTIONS)
+def test_what_is_no_action_is_refused(vector, name):
+    env, action = DockingGymEnv(fidelity="iss-hcw", **SHORT), NO_ACTIONS[name]
+    with pytest.raises(ValueError, match=r"^action must (be real numbers of shape \(6,\), got|not be masked)"):
+        env.step(action)
+    with pytest.raises(ValueError, match=r"^action must (be real numbers of shape \(2, 6\), got|not be masked)"):
+        vector().step([action, action])
+
+
+def test_a_masked_array_that_masks_nothing_is_an_action(vector):
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        vector().step(np.ma.masked_array([ACTION, ACTION]))
+
+
+@pytest.mark.parametrize("port", [True, False, np.True_, 2.0, 99, -1, {"zvezda_aft": 1}, b"zvezda_aft"])
+def test_what_is_no_port_is_refused(vector, port):
+    env = DockingGymEnv(fidelity="iss-hcw", **SHORT)
+    with pytest.raises(ValueError, match=r"unknown dock_port .*known: harmony_forward"):
+        env.reset(options={"dock_port": port})
+    with pytest.raises(ValueError, match=r"unknown dock_port .*known: harmony_forward"):
+        vector().reset(options={"dock_port": [port, 0]})
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"num_envs": True}, "num_envs must be at least 1 and a whole number, got True"),
+        ({"num_envs": 2.5}, "num_envs must be at least 1 and a whole number, got 2.5"),
+        ({"num_envs": 2**40}, "num_envs must be at most"),
+        ({"max_episode_steps": True}, "max_episode_steps must be at least 1 and a whole number, got True"),
+        ({"render_mode": "rgb_array", "width": True}, "width must be a whole number of pixels"),
+        ({"render_mode": "rgb_array", "height": 1e9}, "height must be a whole number of pixels"),
+    ],
+)
+def test_truths_and_fractions_are_no_counts(keywords, message):
+    with pytest.raises(ValueError, match=message):
+        DockingVectorEnv(**{"num_envs": 2, "fidelity": "iss-hcw", **keywords})

@@ -130,6 +130,8 @@ def test_bad_input_is_named():
         env.step({**good, "chaser_1": np.array([0, np.nan, 0, 0, 0, 0])})
     with pytest.raises(ValueError, match=r"chaser_2 must have shape \(6,\), got \(5,\)"):
         env.step({**good, "chaser_2": np.zeros(5)})
+    with pytest.raises(ValueError, match=r"action of chaser_2 must be real numbers of shape \(6,\), got complex64"):
+        env.step({**good, "chaser_2": PUSH.astype(np.complex64)})
     with pytest.raises(ValueError, match="no action for chaser_0"):
         env.step({agent: good[agent] for agent in ("chaser_1", "chaser_2")})
     with pytest.raises(ValueError, match="did you mean 'chaser_1'"):

@@ -21,7 +21,7 @@ from owm_envs.datasets.merge import merge
 from owm_envs.datasets.recipe import Request, flights, splits
 from owm_envs.datasets.runs import GENERATION
 from owm_envs.env import DockingEnv
-from owm_envs.files import FolderTaken
+from owm_envs.files import JOURNAL, FolderTaken
 from owm_envs.policies import make_policy
 from owm_envs.rollout import episodes, rollout
 from owm_envs.video import VideoWriter, join_videos
@@ -136,15 +136,88 @@ def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(seeing_run, tmp
     assert_same_bytes(seeing_run, out)
 
 
-@pytest.mark.parametrize("there", ["pieces", "manifest"])
-def test_a_run_killed_while_it_cleared_away_is_finished(seeing_run, tmp_path, there):
-    partial = tmp_path / "set.partial"
-    shutil.copytree(seeing_run, partial)
-    if there == "pieces":
-        (partial / "manifest.json").unlink()
-        (partial / "pieces/train").mkdir(parents=True)
-    generate(tmp_path / "set", CONFIG, REQUEST)
-    assert_same_bytes(seeing_run, tmp_path / "set")
+class Killed(Exception):
+    """Stands for a kill: nothing is cleared away after it but what a full disk leaves too."""
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A run that was killed when every episode was safe, and none of the files made."""
+
+    def kill(message):
+        if "files of the dataset" in message:
+            raise Killed
+
+    out = tmp_path_factory.mktemp("killed") / "set"
+    with pytest.raises(Killed):
+        generate(out, CONFIG, REQUEST, announce=kill)
+    return out.with_name("set.partial")
+
+
+@pytest.fixture
+def unsealed(killed, tmp_path):
+    """A copy of it to damage."""
+    return shutil.copytree(killed, tmp_path / "set.partial")
+
+
+def test_episodes_that_were_damaged_are_recorded_again(seeing_run, unsealed):
+    pieces = unsealed / "pieces/train"
+    names = [path.stem for path in sorted(pieces.glob("*.arrow"))]
+    (pieces / f"{names[0]}.arrow").write_bytes(b"")
+    (pieces / f"{names[1]}.arrow").unlink()
+    (pieces / f"{names[2]}.pixels.mp4").unlink()
+    (pieces / f"{names[3]}.pixels.mp4").write_bytes(b"")
+    rows = bytearray((pieces / f"{names[4]}.arrow").read_bytes())
+    rows[len(rows) // 2] ^= 1
+    (pieces / f"{names[4]}.arrow").write_bytes(rows)
+    (pieces / f"{names[5]}.arrow").write_bytes(rows[: len(rows) // 2])
+    generate(unsealed.with_name("set"), CONFIG, REQUEST)
+    assert_same_bytes(seeing_run, unsealed.with_name("set"))
+
+
+@pytest.mark.parametrize("there", ["all", "nothing but the dataset", "no seal", "a file less", "a file of nothing"])
+def test_a_run_killed_after_its_files_were_made_is_finished(seeing_run, unsealed, there):
+    shutil.copytree(seeing_run, unsealed, dirs_exist_ok=True)
+    if there == "nothing but the dataset":
+        shutil.rmtree(unsealed / "pieces")
+    if there == "no seal":
+        (unsealed / "manifest.json").unlink()
+    if there == "a file less":
+        (unsealed / "train/meta/stats.json").unlink()
+    if there == "a file of nothing":
+        (unsealed / "val/data/chunk-000/file-000.parquet").write_bytes(b"")
+    generate(unsealed.with_name("set"), CONFIG, REQUEST)
+    assert_same_bytes(seeing_run, unsealed.with_name("set"))
+    assert not unsealed.exists()
+
+
+def test_a_run_killed_between_the_last_moves_is_finished(seeing_run, tmp_path, monkeypatch):
+    """Into the current folder what was recorded moves one by one."""
+    out, partial = tmp_path / "set", tmp_path / "set.partial"
+    shutil.copytree(seeing_run, out)
+    partial.mkdir()
+    (partial / JOURNAL).write_text("\n".join(path.name for path in seeing_run.iterdir()))
+    (out / "manifest.json").rename(partial / "manifest.json")
+    monkeypatch.chdir(out)
+    generate(".", CONFIG, REQUEST)
+    assert_same_bytes(seeing_run, out)
+    assert not partial.exists()
+
+
+def test_a_finished_run_that_was_damaged_is_not_taken_for_complete(seeing_run, tmp_path):
+    out = shutil.copytree(seeing_run, tmp_path / "set")
+    (out / "train/data/chunk-000/file-000.parquet").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"has 0 bytes, .*; remove .*set, and the same command records it anew"):
+        generate(out, CONFIG, REQUEST)
+
+
+def test_a_marker_that_was_damaged_is_told_with_what_to_do(tmp_path):
+    Claim(tmp_path / "set.partial", settings_of(CONFIG, REQUEST), GENERATION).note()
+    (tmp_path / "set.partial" / GENERATION).write_bytes(b"")
+    with pytest.raises(
+        FolderTaken, match=r"set\.partial holds a run whose generation\.json is damaged: .*or remove it"
+    ):
+        generate(tmp_path / "set", CONFIG, REQUEST)
 
 
 def test_a_second_writer_is_refused(tmp_path):

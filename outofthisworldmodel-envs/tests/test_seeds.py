@@ -36,14 +36,14 @@ def test_every_bit_counts_and_numpy_s_integers_do(adapter):
 
 
 @pytest.mark.parametrize("adapter", [scalar, vector, pettingzoo])
-@pytest.mark.parametrize(("seed", "error"), [(-1, ValueError), (1.7, TypeError), ("3", TypeError)])
+@pytest.mark.parametrize(("seed", "error"), [(-1, ValueError), (1.7, TypeError), ("3", TypeError), (True, TypeError)])
 def test_what_is_no_seed_is_refused_by_name(adapter, seed, error):
     _, start = adapter()
     with pytest.raises(error, match="seed must be an integer of at least 0"):
         start(seed)
 
 
-@pytest.mark.parametrize(("seed", "error"), [(-1, ValueError), (1.7, TypeError), ("3", TypeError)])
+@pytest.mark.parametrize(("seed", "error"), [(-1, ValueError), (1.7, TypeError), ("3", TypeError), (True, TypeError)])
 def test_what_is_no_seed_is_refused_in_a_list_too(seed, error):
     with pytest.raises(error, match="seed must be an integer of at least 0"):
         vector()[0].reset(seed=[0, seed])

@@ -1,27 +1,78 @@
 """Files and folders that are either whole or not there, and text as editors leave it."""
 
 import codecs
+import contextlib
 import errno
 import os
 import re
+import secrets
 import shutil
+import stat
 import unicodedata
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from hashlib import file_digest, sha256
 from pathlib import Path, PurePosixPath
 from typing import Any
+
+try:
+    import fcntl
+except ImportError:  # Windows, where nobody can remove what another has open
+    fcntl = None
 
 JOURNAL = ".publishing"
 """Lies in a finished folder while its contents move out of it one by one, and names them."""
 LOCK = ".lock"
 """Lies in a folder that a process works in, or has worked in."""
-_LEFT = re.compile(r"\..+\.\d+\.partial")
-"""Names of what is being written, or was when its writer was killed."""
+_LEFT = re.compile(r"\.(.+)\.\d+\.partial")
+"""Names of what is being written, or was when its writer was killed; the group is the name that it is to get."""
+MOST_BYTES = 2**28
+"""Of a file that a person names: a larger one is a mistake."""
 
 
-def _partial(path: Path) -> Path:
-    """Where this process writes what is to be moved to `path`."""
-    return path.with_name(f".{path.name}.{os.getpid()}.partial")
+@contextlib.contextmanager
+def staged(path: Path, *, folder: bool = False) -> Iterator[Path]:
+    """An empty file or folder beside `path`, to be filled and moved there; what is left of it in the end goes.
+
+    Once that is done, so does what killed writers left of the same. What living ones are at is locked, and stays.
+    """
+    while True:
+        partial = path.with_name(f".{path.name}.{secrets.randbits(62)}.partial")
+        partial.mkdir() if folder else partial.touch(exist_ok=False)
+        with _locked(partial, wait=True):
+            if not partial.exists():  # taken for left before it was locked
+                continue
+            try:
+                yield partial
+            finally:
+                remove(partial)
+            break
+    # Not before: what was left of a folder may be the last whole one.
+    for left in [place for place in os.listdir(path.parent) if (was := _LEFT.fullmatch(place)) and was[1] == path.name]:
+        with contextlib.suppress(OSError), _locked(path.parent / left):
+            remove(path.parent / left)
+
+
+@contextlib.contextmanager
+def _locked(path: Path, *, wait: bool = False) -> Iterator[None]:
+    """Hold a file or folder; OSError if another does, unless it is to be waited for."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError) if wait else contextlib.nullcontext():  # some file systems have no locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def settle(path: Path) -> None:
+    """Have the bytes of a file, or of all files below a folder, on the disk: before a name leads to them."""
+    for file in [path] if path.is_file() else path.rglob("*"):
+        if file.is_file():
+            with open(file, "r+b" if os.name == "nt" else "rb") as opened:
+                os.fsync(opened.fileno())
 
 
 def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, text: bool = False) -> None:
@@ -33,13 +84,12 @@ def write_atomically(path: str | os.PathLike, write: Callable[[Any], Any], *, te
     """
     path = Path(path).resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = _partial(path)
-    try:
+    with staged(path) as partial:
         with open(partial, "w", encoding="utf-8", newline="") if text else open(partial, "wb") as file:
             write(file)
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 _MARKS = {
@@ -51,14 +101,39 @@ _MARKS = {
 }
 
 
+def plain_file(path: str | os.PathLike, most: int = MOST_BYTES) -> Path:
+    """The path of a file to read, once it is known to be one that has an end.
+
+    Args:
+        most: bytes that it may have.
+
+    Raises:
+        TypeError: it is no path: a number would be an open file of the process, 0 its standard input.
+        FileNotFoundError, OSError: there is no such file.
+        ValueError: it is a folder, a pipe or a device, or too large.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"a file must be given by its path, got {path!r}")
+    try:
+        about = os.stat(path)
+    except ValueError as error:  # of a path that no system takes
+        raise ValueError(f"{path!r} is no path: {error}") from None
+    if not stat.S_ISREG(about.st_mode):
+        kind = "a folder" if stat.S_ISDIR(about.st_mode) else "a pipe or device"
+        raise ValueError(f"{os.fspath(path)} is {kind}, not a file: name one that is kept on disk")
+    if about.st_size > most:
+        raise ValueError(f"{os.fspath(path)} has {about.st_size:,} bytes; no such file has more than {most:,}")
+    return Path(path)
+
+
 def read_text(path: str | os.PathLike) -> str:
     """The text of a file that a person edits: UTF-8, or what its byte-order mark says, as Windows' editors write.
 
     Raises:
-        OSError: the file cannot be read.
+        TypeError, OSError, ValueError: as `plain_file`, or the file cannot be read.
         ValueError: it is neither.
     """
-    data = Path(path).read_bytes()
+    data = plain_file(path).read_bytes()
     encoding = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), "utf-8")
     if encoding.startswith("utf-8") and b"\0" in data:
         # Of letters in UTF-16 every second byte is zero, in UTF-32 three of four.
@@ -95,8 +170,9 @@ def inner_path(name: str) -> PurePosixPath:
         ValueError: it is absolute, goes up, or means something else on another system.
     """
     parts = name.split("/")
-    if not name or any(part in ("", ".", "..") for part in parts) or re.search(r"[\\:\0]", name):
-        raise ValueError(f"the path {name!r} may lead out of its folder: refused")
+    odd = any(part in ("", ".", "..") or len(part.encode(errors="replace")) > 255 for part in parts)
+    if not name or odd or re.search(r"[\\:\0]", name):
+        raise ValueError(f"the path {name[:60]!r} may lead out of its folder: refused")
     return PurePosixPath(name)
 
 
@@ -202,9 +278,10 @@ def _move(source: Path, target: Path) -> None:
     except OSError as error:
         if error.errno != errno.EXDEV:
             raise
-        partial = _partial(target)
-        shutil.copytree(source, partial) if source.is_dir() else shutil.copy2(source, partial)
-        os.rename(partial, target)
+        with staged(target, folder=source.is_dir()) as partial:
+            shutil.copytree(source, partial, dirs_exist_ok=True) if source.is_dir() else shutil.copy2(source, partial)
+            settle(partial)
+            os.rename(partial, target)
 
 
 def _stays(folder: Path) -> bool:
@@ -247,29 +324,20 @@ def replace_folder(path: str | os.PathLike, contents: Mapping[str, bytes]) -> Pa
     check_free(folder, contents)
     if _stays(folder):
         for name, data in contents.items():
-            _clean(folder / name)
             write_atomically(folder / name, lambda file, data=data: file.write(data))
         return folder
-    stage = _partial(folder)
-    new, old = stage / "new", stage / "old"
-    remove(stage)
-    try:
-        new.mkdir(parents=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with staged(folder, folder=True) as stage:
+        new, old = stage / "new", stage / "old"
+        new.mkdir()
         for name, data in contents.items():
             (new / name).write_bytes(data)
-        if folder.exists():
-            os.rename(folder, old)
-        os.rename(new, folder)
-    finally:
-        if old.exists() and not folder.exists():
-            os.rename(old, folder)
-        remove(stage)
-    _clean(folder)  # not before: what a killed writer left may hold the last whole one
+        settle(new)
+        try:
+            if folder.exists():
+                os.rename(folder, old)
+            os.rename(new, folder)
+        finally:
+            if old.exists() and not folder.exists():
+                os.rename(old, folder)
     return folder
-
-
-def _clean(path: Path) -> None:
-    """Remove what killed writers of a file or folder left beside it."""
-    for left in path.parent.iterdir():
-        if re.fullmatch(rf"\.{re.escape(path.name)}\.\d+\.partial", left.name):
-            remove(left)

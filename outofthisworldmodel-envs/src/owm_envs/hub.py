@@ -17,7 +17,18 @@ from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
 from owm_envs.claims import Claim
-from owm_envs.files import check_free, inner_path, output_folder, publish, published, remove, write_atomically
+from owm_envs.files import (
+    check_free,
+    inner_path,
+    output_folder,
+    publish,
+    published,
+    read_text,
+    remove,
+    settle,
+    staged,
+    write_atomically,
+)
 from owm_envs.words import install, plain
 
 Kind = Literal["dataset", "model"]
@@ -26,17 +37,18 @@ SOURCE = "source.json"
 OUTPUT = "runs"
 """The folder that commands write to unless told otherwise: what is missing there is on no hub."""
 _MAIN = "main"
-_PATIENCE = 10.0
-"""Seconds until a hub that does not answer counts as out of reach."""
+_PATIENCE, _SILENCE = 10.0, 60.0
+"""Seconds until a hub that does not answer counts as out of reach; and until one that has answered does again."""
 _REPOSITORY = re.compile(r"(?P<name>\w[\w.-]*/\w[\w.-]*)(@(?P<revision>\w[\w./-]*))?")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _ATTEMPTS = 3
-"""At a file whose connection breaks, beside those that the client makes by itself."""
+"""At a file whose connection breaks, beside those that the client makes by itself; and at a hub that stays silent."""
 _BROKEN = {"ChunkedEncodingError", "ContentDecodingError", "IncompleteRead", "ProtocolError", "ReadError"}
 _UNREACHABLE = {
     *("ConnectError", "ConnectionError", "LocalEntryNotFoundError", "NetworkError", "OfflineModeIsEnabled"),
     *("SSLError", "Timeout", "TimeoutException", "TransportError"),
 }
+_SILENT = {"ReadTimeout", "WriteTimeout", "ReadTimeoutError", "TimeoutError", "_Silence"}
 """Names of errors, by whichever HTTP client the hub's own stands on."""
 
 
@@ -212,17 +224,17 @@ def keep(contents: Mapping[str, Path | bytes], folder: Path, check: Callable[[Pa
     Args:
         check: looks at the folder before it gets its name.
     """
-    stage = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    remove(stage)
-    try:
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with staged(folder, folder=True) as stage:
         for path, content in contents.items():
             _place(content, stage / path, link=True)
+        settle(stage)
         check(stage)
-        with contextlib.suppress(FileExistsError):  # another process was quicker
-            if not folder.is_dir():
-                os.replace(stage, folder)
-    finally:
-        remove(stage)
+        try:
+            os.replace(stage, folder)
+        except OSError:
+            if not folder.is_dir():  # else another process was quicker
+                raise
 
 
 def deliver(
@@ -291,7 +303,7 @@ def push(repository: Repository, *, private: bool = False) -> Pushed:
     about: dict[str, Any] = {"repo_id": checked_name(name), "repo_type": kind}
     with _in_words(name):
         api.create_repo(**about, private=private or None, exist_ok=True)
-        info = api.repo_info(**about)
+        info = api.repo_info(**about, timeout=_PATIENCE)
     if private and not info.private:
         raise HubError(name, "shows it to everybody already: make it private there, or leave out --private")
     there = _tree(name, info.sha, kind) if info.sha else {}
@@ -322,16 +334,12 @@ def push(repository: Repository, *, private: bool = False) -> Pushed:
 
 def address(name: str, kind: Kind) -> str:
     """Where a browser finds a repository."""
-    from huggingface_hub import constants
-
-    return f"{constants.ENDPOINT}/{'datasets/' if kind == 'dataset' else ''}{name}"
+    return f"{_library().constants.ENDPOINT}/{'datasets/' if kind == 'dataset' else ''}{name}"
 
 
 def cache() -> Path:
     """The folder for what is fetched, beside the hub's own cache and on its disk."""
-    from huggingface_hub import constants
-
-    return Path(constants.HF_HUB_CACHE).expanduser().absolute().parent / "owm"
+    return Path(_library().constants.HF_HUB_CACHE).expanduser().absolute().parent / "owm"
 
 
 def _cache(name: str, kind: Kind) -> Path:
@@ -345,13 +353,81 @@ def _client(name: str) -> Any:
         Unreachable: the user wants to stay offline.
         ImportError: it is not installed.
     """
-    try:
-        from huggingface_hub import HfApi, constants
-    except ImportError as error:
-        raise ImportError(f"{name!r} is no folder, and the hub needs its client: {install('hub')}") from error
-    if constants.HF_HUB_OFFLINE:
+    library = _library(f"{name!r} is no folder, and ")
+    if library.constants.HF_HUB_OFFLINE:
         raise Unreachable(name, "cannot be reached, because HF_HUB_OFFLINE is set")
-    return HfApi(library_name="outofthisworldmodel")
+    return library.HfApi(library_name="outofthisworldmodel")
+
+
+def _library(why: str = "") -> Any:
+    """The module of the hub's client. Raises ImportError: it is not installed."""
+    try:
+        import huggingface_hub.constants
+    except ImportError as error:
+        raise ImportError(f"{why}the hub needs its client: {install('hub')}") from error
+    return huggingface_hub
+
+
+_asking = 0
+"""How many threads are asking the hub for us."""
+_unanswered = 0
+"""How many of our requests in a row had no answer."""
+
+
+class _Silence(OSError):
+    """The hub has not answered so often that it is not asked again; the client does not retry after it."""
+
+
+@contextlib.contextmanager
+def _patient() -> Iterator[None]:
+    """Have requests given up to which nothing comes: by itself the client waits for most of them for ever."""
+    global _asking, _unanswered
+    from huggingface_hub.utils import _http, get_session
+
+    if hasattr(_http, "set_client_factory"):  # from 1.0 on all threads share a session
+        _limited(get_session())
+    elif not hasattr(made := _http._GLOBAL_BACKEND_FACTORY, "limited"):
+        limited = lambda: _limited(made())
+        limited.limited = True
+        _http.configure_http_backend(limited)
+    if not _asking:
+        _unanswered = 0
+    _asking += 1
+    try:
+        yield
+    finally:
+        _asking -= 1
+
+
+def _limited(session: Any) -> Any:
+    """A session of `requests` or `httpx` whose requests have limits, if they bring none, while we are asking."""
+    if hasattr(send := session.send, "limited"):
+        return session
+
+    def limited(request: Any, **given: Any) -> Any:
+        global _unanswered
+        if not _asking:
+            return send(request, **given)
+        if _unanswered >= _ATTEMPTS:
+            raise _Silence(f"no answer to {_unanswered} requests in a row")
+        bare = request.method == "HEAD"  # an answer without bytes, which the client may wait for a minute and more
+        if hasattr(request, "extensions"):
+            usual = {"connect": _PATIENCE, "read": _PATIENCE if bare else _SILENCE, "write": _SILENCE, "pool": None}
+            own = {} if bare else request.extensions.get("timeout", {})
+            request.extensions["timeout"] = {what: own.get(what) or limit for what, limit in usual.items()}
+        elif bare or given.get("timeout") is None:
+            given["timeout"] = (_PATIENCE, _PATIENCE if bare else _SILENCE)
+        try:
+            answer = send(request, **given)
+        except Exception as error:
+            _unanswered += bool(_SILENT & {kind.__name__ for kind in type(error).__mro__})
+            raise
+        _unanswered = 0
+        return answer
+
+    limited.limited = True
+    session.send = limited
+    return session
 
 
 def _resolved(name: str, revision: str | None, kind: Kind) -> str:
@@ -367,7 +443,7 @@ def _resolved(name: str, revision: str | None, kind: Kind) -> str:
         if not known.is_file():
             at = f" at {revision}" if revision else ""
             raise Unreachable(name, f"{error.reason}, and the cache does not hold it{at}") from error
-        return known.read_text(encoding="ascii")
+        return read_text(known)
     if not _COMMIT.fullmatch(commit or ""):
         raise HubError(name, f"tells of the commit {commit!r}, which is none")
     known = _cache(name, kind) / "revisions" / quote(revision or _MAIN, safe="")
@@ -457,7 +533,8 @@ def _place(content: Path | bytes, path: Path, *, link: bool = False) -> None:
 def _in_words(name: str, revision: str | None = None) -> Iterator[None]:
     """Tell what the hub's client raises in a line of ours."""
     try:
-        yield
+        with _patient():
+            yield
     except Exception as error:  # which of its HTTP client's own exceptions come is no part of its interface
         raise _told(name, revision, error) from error
 
@@ -494,6 +571,8 @@ def _told(name: str, revision: str | None, error: BaseException) -> OSError:
         return HubError(name, "answers like none: check proxy, firewall and HF_ENDPOINT")
     if _BROKEN & kinds or "Consistency check" in str(error):
         return Broken(name, "broke the connection in the middle of a file; the same command goes on from there")
+    if _SILENT & kinds:
+        return Unreachable(name, "does not answer: try again later, and what has arrived is kept")
     if _UNREACHABLE & kinds:
         return Unreachable(name, "cannot be reached")
     return HubError(name, f"could not be used: {type(error).__name__}: {plain(error)[:200]}")

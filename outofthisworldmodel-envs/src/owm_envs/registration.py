@@ -95,6 +95,8 @@ def make_vec(
     id: Id = "ISSNumerical-v0",
     num_envs: int = 1,
     autoreset_mode: Literal["next_step", "same_step", "disabled"] = "next_step",
+    vectorization_mode: Literal["vector_entry_point", "sync", "async"] | None = None,
+    vector_kwargs: Mapping[str, Any] | None = None,
     **keywords: Unpack[DockingKeywords],
 ) -> gymnasium.vector.VectorEnv:
     """`gymnasium.make_vec`, with the keywords of these environments for an editor to complete.
@@ -103,9 +105,18 @@ def make_vec(
         id: a key of `IDS`.
         num_envs: slots, advanced by one compiled program.
         autoreset_mode: when a slot that has ended starts again.
+        vectorization_mode: "sync" and "async" make an environment for each slot in place of that program, Gymnasium's
+            way. A process that has used JAX needs `vector_kwargs={"context": "spawn"}` for "async".
+        vector_kwargs: of Gymnasium's own vector environment.
         keywords: see `DockingKeywords`.
     """
-    return gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode=autoreset_mode, **keywords)
+    if vectorization_mode in (None, "vector_entry_point"):
+        return gymnasium.make_vec(id, num_envs=num_envs, autoreset_mode=autoreset_mode, **keywords)
+    known = {mode.name.lower(): mode for mode in gymnasium.vector.AutoresetMode}
+    if autoreset_mode not in known:
+        raise ValueError(f"autoreset_mode must be one of {', '.join(known)}, got {autoreset_mode!r}")
+    given = {"autoreset_mode": known[autoreset_mode], **(vector_kwargs or {})}
+    return gymnasium.make_vec(id, num_envs, vectorization_mode, given, **keywords)
 
 
 def register_all() -> None:

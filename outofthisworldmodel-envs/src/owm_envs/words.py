@@ -14,6 +14,20 @@ def unknown(kind: str, name: object, known: Iterable[str]) -> str:
     return f"unknown {kind} {name!r}{hint} known: {', '.join(known)}"
 
 
+def short(value: object) -> str:
+    """A value as Python writes it, no longer than a line has room for."""
+    try:
+        told = repr(value)
+    except ValueError:  # of whole numbers with thousands of digits
+        told = f"a {type(value).__name__} of thousands of digits"
+    return told if len(told) <= 60 else told[:57] + "..."
+
+
+def is_number(value: object) -> bool:
+    """Whether a value that came from a file is a finite number: truth is none, nor what is beyond every float."""
+    return type(value) in (int, float) and abs(value) < 1e300
+
+
 def require_parts(kind: str, protocol: str, candidate: object, names: Iterable[str]) -> None:
     """Refuse what cannot be a static part of an environment.
 
@@ -49,12 +63,11 @@ def checked_seed(seed: Any, bits: int | None = None) -> int:
         TypeError: it is no integer; NumPy's are.
         ValueError: it is negative, or too large.
     """
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        raise TypeError(f"seed must be an integer of at least 0, got {seed!r}") from None
+    number = _whole(seed)
+    if number is None:
+        raise TypeError(f"seed must be an integer of at least 0, got {short(seed)}")
     if number < 0:
-        raise ValueError(f"seed must be an integer of at least 0, got {number}")
+        raise ValueError(f"seed must be an integer of at least 0, got {short(number)}")
     if bits is not None and number >> bits:
         raise ValueError(f"seed must be below 2**{bits}, got {number}")
     return number
@@ -76,6 +89,32 @@ _EXTRAS = {
 def install(extra: str) -> str:
     """The command that installs what an extra brings."""
     return "pip install " + " ".join(f'"{package}"' for package in _EXTRAS[extra])
+
+
+def checked_count(name: str, value: Any, most: int = 2**31 - 1) -> int:
+    """A count of at least 1 as Python's integer.
+
+    Args:
+        name: what is counted.
+        most: that it may be.
+
+    Raises:
+        ValueError: it is no whole number, less than 1, or too large.
+    """
+    number = _whole(value)
+    if number is None or number < 1:
+        raise ValueError(f"{name} must be at least 1 and a whole number, got {short(value)}")
+    if number > most:
+        raise ValueError(f"{name} must be at most {most}, got {short(value)}")
+    return number
+
+
+def _whole(value: Any) -> int | None:
+    """A whole number, NumPy's too, as Python's; None of anything else: truth values are none."""
+    try:
+        return None if isinstance(value, bool) else operator.index(value)
+    except TypeError:
+        return None
 
 
 def plain(error: Exception) -> str:
@@ -135,7 +174,7 @@ def mistakes(error: Any, model: Any = None, unit: Callable[[tuple[str, ...]], st
             text = _OURS[kind].format(**mistake.get("ctx", {})) if kind in _OURS else said
             if kind != "missing":
                 of = unit(tuple(part for part in mistake["loc"] if isinstance(part, str)))
-                came[where] = f", got {mistake['input']!r}" + (f" {of}" if of else "")
+                came[where] = f", got {short(mistake['input'])}" + (f" {of}" if of else "")
         if text not in told.setdefault(where, []):
             told[where].append(text)
     return "; ".join(

@@ -11,6 +11,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from owm_envs.adapters.actions import real_numbers
 from owm_envs.adapters.batch import BatchProgram, Seen
 from owm_envs.adapters.parts import Shown, each, shown, space_of
 from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset
@@ -24,7 +25,7 @@ from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.randomization import VARIATIONS, drawable
 from owm_envs.task.sensors import Sensor
 from owm_envs.view import View
-from owm_envs.words import checked_seed, unknown
+from owm_envs.words import checked_count, checked_seed, unknown
 
 
 class _Shell:
@@ -56,7 +57,7 @@ class _Shell:
     def _port_choice(self, port) -> int:
         if isinstance(port, str):
             return port_index(port)
-        if isinstance(port, (int, np.integer)) and 0 <= port < len(PORT_NAMES):
+        if isinstance(port, (int, np.integer)) and not isinstance(port, bool) and 0 <= port < len(PORT_NAMES):
             return int(port)
         raise ValueError(unknown("dock_port", port, PORT_NAMES))
 
@@ -64,7 +65,7 @@ class _Shell:
         given = options.get("dock_port")
         if given is None:
             return np.full(self._num_slots, -1, np.int32)
-        if isinstance(given, (str, int, np.integer)):
+        if isinstance(given, str) or np.ndim(given) == 0:
             return np.full(self._num_slots, self._port_choice(given), np.int32)
         if len(given) != self._num_slots:
             raise ValueError(f"dock_port names {len(given)} ports for {self._num_slots} environments")
@@ -91,14 +92,12 @@ class _Shell:
         return {name: name in asked for name in VARIATIONS}
 
     def _actions(self, action, shape: tuple[int, ...]) -> np.ndarray:
-        action, precision = np.asarray(action), np.dtype(self.config.precision)
+        action, precision = real_numbers(action, shape), np.dtype(self.config.precision)
         if action.dtype.itemsize > precision.itemsize:
             # Too large for the precision is still a number, to be clipped.
             largest = np.finfo(precision).max
             action = np.where(np.isfinite(action), np.clip(action, -largest, largest), action)
         action = action.astype(precision, copy=False)
-        if action.shape != shape:
-            raise ValueError(f"action must have shape {shape}, got {action.shape}")
         if self._state is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         return action.reshape(self._num_slots, 6)
@@ -262,8 +261,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
         if max_episode_steps is not None:
             config = _cut(load_config(config, **overrides), max_episode_steps)
             overrides = {}
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, got {num_envs}")
+        num_envs = checked_count("num_envs", num_envs)
         mode = _autoreset_mode(autoreset_mode)
         self.num_envs = num_envs
         pictures = Pictures(render_mode, width, height, camera_name, num_envs)
@@ -350,9 +348,7 @@ class DockingVectorEnv(_Shell, VectorEnv):
 
 def _cut(config: DockingConfig, decisions: int) -> DockingConfig:
     """A configuration whose episodes last so many decisions at most."""
-    if not isinstance(decisions, (int, np.integer)) or decisions < 1:
-        raise ValueError(f"max_episode_steps must be an integer of at least 1, got {decisions!r}")
-    horizon = min(config.horizon, int(decisions) * config.decision_dt)
+    horizon = min(config.horizon, checked_count("max_episode_steps", decisions) * config.decision_dt)
     return config.model_copy(update={"horizon": horizon})
 
 

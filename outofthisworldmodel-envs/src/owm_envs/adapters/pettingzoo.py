@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from gymnasium import spaces
 
+from owm_envs.adapters.actions import real_numbers
 from owm_envs.adapters.batch import Seen, state_from_host, state_to_host
 from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.gymnasium import scalar_info
@@ -274,9 +275,7 @@ class DockingParallelEnv(ParallelEnv):
                 continue
             if agent not in actions:
                 raise ValueError(f"no action for {agent}; acting are {', '.join(self.agents)}")
-            action = np.asarray(actions[agent], self.config.precision)
-            if action.shape != (6,):
-                raise ValueError(f"the action of {agent} must have shape (6,), got {action.shape}")
+            action = real_numbers(actions[agent], (6,), f"the action of {agent}").astype(self.config.precision)
             if not np.isfinite(action).all():
                 raise ValueError(f"the action of {agent} must be finite, got {action}")
             stacked[index] = action

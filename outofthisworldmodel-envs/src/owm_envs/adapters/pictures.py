@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from owm_envs.view import View
-from owm_envs.words import unknown
+from owm_envs.words import short, unknown
 
 RENDER_MODES = ("rgb_array",)
 SIZE = (960, 540)
@@ -39,6 +39,9 @@ class Pictures:
             if camera_name not in CAMERA_NAMES:
                 raise ValueError(unknown("camera_name", camera_name, CAMERA_NAMES))
         least = (1, 1) if camera_name else (160, 120)
+        for name, side in (("width", width), ("height", height)):
+            if not isinstance(side, int | np.integer) or isinstance(side, bool) or side > 16_384:
+                raise ValueError(f"{name} must be a whole number of pixels, at most 16384, got {short(side)}")
         if mode is not None and (width < least[0] or height < least[1]):
             raise ValueError(f"width and height must be at least {least[0]} and {least[1]}, got {width} and {height}")
 

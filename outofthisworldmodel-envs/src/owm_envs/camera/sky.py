@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, UInt
 from astrojax.constants import R_EARTH, WGS84_F
 from owm_envs.camera.light import Heavens
 from owm_envs.camera.trace import settled
+from owm_envs.files import plain_file
 
 SIDE = 2880
 """Cells along a side of the finest map: 8 km on the ground."""
@@ -95,12 +96,14 @@ def load_sky(
 def _load(earth: str | None, clouds: str | None, night: str | None) -> Sky:
     import cv2
 
-    places = _node_places()
+    # Read first, so that a file which cannot be is told at once.
     ground = _read(earth, "earth.jpg", colours=True)[..., ::-1]
+    above, lights = _read(clouds, "clouds.jpg"), _read(night, "night.jpg")
+    places = _node_places()
     surface = [*np.moveaxis(_spread(ground, places), -1, 0), _spread(_read(None, "water.jpg"), places)]
-    cover = _spread(_read(clouds, "clouds.jpg"), places)
+    cover = _spread(above, places)
     slopes = np.gradient(cv2.GaussianBlur(cover, (0, 0), 1.0).astype(np.float32))
-    veil = [cover, _spread(_read(night, "night.jpg"), places), *(_signed(2 * slope) for slope in slopes[::-1])]
+    veil = [cover, _spread(lights, places), *(_signed(2 * slope) for slope in slopes[::-1])]
     with np.load(files(__package__) / "assets/stars.npz") as catalogue:
         stars, magnitude, colour = (catalogue[name] for name in ("direction", "magnitude", "colour"))
     light = 8 * 10.0 ** (-0.4 * magnitude)[:, None] * _tint(colour)
@@ -120,8 +123,7 @@ def _read(path: str | None, packaged: str, colours: bool = False) -> np.ndarray:
     if path is None:
         data = (files(__package__) / "assets" / packaged).read_bytes()
     else:
-        with open(path, "rb") as file:
-            data = file.read()
+        data = plain_file(path).read_bytes()
     mode = cv2.IMREAD_COLOR if colours else cv2.IMREAD_GRAYSCALE
     image = cv2.imdecode(np.frombuffer(data, np.uint8), mode) if data else None
     if image is None:

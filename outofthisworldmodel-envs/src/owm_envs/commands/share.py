@@ -10,7 +10,7 @@ from owm_envs.shell import resumable, terminal
 
 
 def verify(dataset: Annotated[str, tyro.conf.Positional]) -> None:
-    """Check a dataset: hashes, counts, each row, statistics, each frame, dynamics, noise and a picture drawn anew.
+    """Check a dataset: hashes, counts, rows, statistics, frames, dynamics, rewards, noise, and a picture drawn anew.
 
     Ends with 1 if something is wrong, and says what.
 

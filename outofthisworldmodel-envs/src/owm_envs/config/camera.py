@@ -1,10 +1,11 @@
 """What the camera of an environment with pixels is: size and channels are static, the rest are numbers to sweep."""
 
+import math
 from typing import Annotated, Literal, NamedTuple, get_args
 
 from pydantic import Field, field_validator
 
-from owm_envs.config.parts import Finite, Frozen, NonNegative, Vector3, unit
+from owm_envs.config.parts import Coordinate, Frozen, HalfTurn, Offset, Stops, unit, within
 from owm_envs.station.ports import PORTS, port_index
 from owm_envs.words import unknown
 
@@ -13,10 +14,11 @@ CAMERA_NAMES: tuple[str, ...] = get_args(CameraName)
 Channels = Literal["rgb", "gray", "depth", "part", "port"]
 CHANNELS: tuple[str, ...] = get_args(Channels)
 
-Pixels = Annotated[int, Field(ge=1), unit("px")]
-Probability = Annotated[float, Field(ge=0, le=1), unit("1")]
-Stops = Annotated[Finite, unit("stops")]
-Pose = tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite]
+Pixels = Annotated[int, Field(ge=1, le=4096), unit("px")]
+Probability = Annotated[float, within(0, 1), unit("1")]
+Noise = Annotated[float, within(0, 10), unit("1")]
+Brightness = Annotated[float, within(0, 1e4), unit("1")]
+Pose = tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
 
 
 class EffectsConfig(Frozen):
@@ -25,16 +27,16 @@ class EffectsConfig(Frozen):
     Errors are total root-mean-square sizes. Noise counts in the light of the display, where white is 1.
     """
 
-    position: Annotated[NonNegative, unit("m")] = 0.0
-    attitude_deg: Annotated[NonNegative, unit("deg")] = 0.0
-    field: Annotated[NonNegative, unit("1")] = 0.0
+    position: Annotated[Offset, unit("m")] = 0.0
+    attitude_deg: HalfTurn = 0.0
+    field: Probability = 0.0
     """Of the field of view, as a fraction of it."""
-    exposure: Annotated[NonNegative, unit("stops")] = 0.0
-    blur: Annotated[float, Field(ge=0, le=3), unit("px")] = 0.0
+    exposure: Annotated[float, within(0, 30), unit("stops")] = 0.0
+    blur: Annotated[float, within(0, 3), unit("px")] = 0.0
     """Standard deviation of a Gaussian; not drawn."""
-    shot_noise: Annotated[NonNegative, unit("1")] = 0.0
+    shot_noise: Noise = 0.0
     """Standard deviation at white; it grows as the root of the light."""
-    read_noise: Annotated[NonNegative, unit("1")] = 0.0
+    read_noise: Noise = 0.0
     """Standard deviation in the dark."""
     frozen: Probability = 0.0
     """That a frame does not come: the last one is held. The first of an episode always comes."""
@@ -69,20 +71,20 @@ class CameraConfig(Frozen):
     width: Pixels = 64
     channels: Channels = "rgb"
     """rgb and gray are uint8; depth is float32 in metres, 0 where no part is; part and port are int32, -1 for none."""
-    every: Annotated[int, Field(ge=1), unit("decisions")] = 1
+    every: Annotated[int, Field(ge=1, le=10**9), unit("decisions")] = 1
     """Decisions from one frame to the next; the last one is held between."""
     samples: Annotated[int, Field(ge=1, le=8), unit("rays")] = 1
     """Rays along each side of a pixel."""
     port: str = PORTS[0].name
     """At which `station_fpv` stands."""
-    field_deg: Annotated[Annotated[float, Field(gt=0, lt=180)] | None, unit("deg")] = None
+    field_deg: Annotated[Annotated[float, within(0.01, 175)] | None, unit("deg")] = None
     """Vertical field of view; the view's own if absent."""
-    position: Annotated[Vector3 | None, unit("m")] = None
+    position: Annotated[tuple[Coordinate, Coordinate, Coordinate] | None, unit("m")] = None
     """Of the camera in its mount's frame; the view's own if absent."""
     exposure: Stops = 0.0
-    sun: Annotated[NonNegative, unit("1")] = 1.0
+    sun: Brightness = 1.0
     """Brightness of the Sun, of its true one."""
-    lamp: Annotated[NonNegative, unit("1")] = 0.5
+    lamp: Brightness = 0.5
     """Brightness of a white plane 10 m before the camera's lamp, of one in sunlight."""
     visitors: Annotated[tuple[str | Pose, ...], unit("m")] = ()
     """Other Dragons: the name of the port where one holds, or position [m] and attitude (body to station)."""
@@ -106,9 +108,11 @@ class CameraConfig(Frozen):
     @field_validator("port", "visitors")
     @classmethod
     def _known_ports(cls, value):
-        for name in [value] if isinstance(value, str) else value:
-            if isinstance(name, str):
-                port_index(name)
+        for each in [value] if isinstance(value, str) else value:
+            if isinstance(each, str):
+                port_index(each)
+            elif not 1e-3 <= math.hypot(*each[3:]) <= 1e3:  # it is brought to length 1
+                raise ValueError(f"a visitor's attitude must be a quaternion of length 1, got {each[3:]}")
         return value
 
     @property

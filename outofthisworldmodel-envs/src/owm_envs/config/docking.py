@@ -20,17 +20,17 @@ from owm_envs.config.parts import (
     ForceConfig,
     Frozen,
     NoiseConfig,
-    Positive,
     RandomizationConfig,
     ResetConfig,
     RewardConfig,
     unit,
+    within,
 )
 from owm_envs.config.text import mistakes, toml
 from owm_envs.files import read_text
 from owm_envs.station.hull import load_hull
 from owm_envs.station.ports import PORT_NAMES, port_index
-from owm_envs.words import unknown
+from owm_envs.words import short, unknown
 
 Fidelity = Literal["iss", "iss-hcw", "iss-numerical"]
 FIDELITIES: tuple[str, ...] = get_args(Fidelity)
@@ -86,13 +86,13 @@ class DockingConfig(Frozen):
     normalize: bool = False
     """Actions in [-1, 1], scaled observations, epoch as an offset from the reference."""
     precision: Literal["float32", "float64"] = "float64"
-    dt: Annotated[Positive, unit("s")] = 0.05
+    dt: Annotated[float, within(1e-4, 60), unit("s")] = 0.05
     """Simulation step."""
-    steps_per_action: Annotated[int, Field(ge=1), unit("steps")] = 1
+    steps_per_action: Annotated[int, Field(ge=1, le=100_000), unit("steps")] = 1
     """Simulation steps over which an action is held."""
-    horizon: Annotated[Positive, unit("s")] = 360.0
+    horizon: Annotated[float, within(1e-4, 1e7), unit("s")] = 360.0
     """Time after which an episode is truncated: at the end of the decision that reaches it, never earlier."""
-    escape_radius: Annotated[Positive, unit("m")] = 750.0
+    escape_radius: Annotated[float, within(1, 1e6), unit("m")] = 750.0
     """Distance from the station origin beyond which an episode ends."""
     collision_terminates: bool = True
     hull: Literal["iss"] | Annotated[tuple[Box, ...], Field(min_length=1), unit("m")] = "iss"
@@ -144,12 +144,19 @@ class DockingConfig(Frozen):
     def _consistent(self):
         if self.horizon < self.dt * self.steps_per_action:
             raise ValueError("horizon must hold at least one action (dt * steps_per_action)")
+        if self.horizon_decisions >= 2**31:
+            raise ValueError(f"horizon must hold fewer than 2**31 actions, got {self.horizon_decisions}")
         chief, ranges = self.chief, self.randomization
-        least, most = (chief.eccentricity + offset for offset in ranges.chief_eccentricity)
-        if not (0 <= least and most < 1):
-            raise ValueError(f"chief.eccentricity with its range must stay from 0 to below 1, got {least} to {most}")
+        low, most = (chief.eccentricity + offset for offset in ranges.chief_eccentricity)
+        if not (0 <= low and most < 1):
+            raise ValueError(f"chief.eccentricity with its range must stay from 0 to below 1, got {low} to {most}")
         if (least := chief.semi_major_axis + ranges.chief_semi_major_axis[0]) <= EARTH_RADIUS:
             raise ValueError(f"chief.semi_major_axis with its range must stay above {EARTH_RADIUS} m, got {least}")
+        if (perigee := least * (1 - most)) <= EARTH_RADIUS:
+            raise ValueError(
+                f"chief.semi_major_axis and chief.eccentricity with their ranges must keep the perigee above "
+                f"{EARTH_RADIUS} m, got {perigee}"
+            )
         if not self.has_pixels:
             for name, given in (
                 ("camera", self.camera != CameraConfig()),
@@ -246,6 +253,7 @@ def load_config(
         ValueError: a field, preset or port is unknown (naming the nearest) or out of bounds; or the file or mapping
             is for another fidelity than the one named beside it.
         FileNotFoundError: `config` names no file.
+        TypeError: `config` is none of these.
     """
     if preset not in CONFIG_PRESETS:
         raise ValueError(unknown("preset", preset, CONFIG_PRESETS))
@@ -257,13 +265,16 @@ def load_config(
         values = config.model_dump()
     elif isinstance(config, Mapping):
         given = config
-    elif config is not None:
+    elif isinstance(config, str | os.PathLike):
         try:
             given = tomllib.loads(read_text(config))
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"config {os.fspath(config)!r} is not valid TOML: {error}") from None
         if _is_path(given.get("hull")):
             given["hull"] = os.path.join(os.path.dirname(os.fspath(config)), given["hull"])
+    elif config is not None:
+        told = "a DockingConfig, a mapping of its fields, or the path of a TOML file"
+        raise TypeError(f"config must be {told}, got {short(config)}")
     if (asked := given.get("fidelity")) != (named := overrides.get("fidelity", asked)) and asked is not None:
         raise ValueError(f"config is for fidelity {asked!r}, not {named!r}: make the environment id that goes with it")
     values = _merge(_merge(values, _expand(given)), _expand(overrides))

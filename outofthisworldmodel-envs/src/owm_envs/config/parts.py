@@ -1,9 +1,12 @@
 """The parts of a configuration: each a frozen table of numbers with units, bounds and the paper's values."""
 
 import datetime
+import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from owm_envs.words import short
 
 EARTH_RADIUS = 6_378_137.0
 """m, equatorial."""
@@ -14,29 +17,70 @@ def unit(name: str) -> Any:
     return Field(json_schema_extra={"unit": name})
 
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-HalfTurn = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False), unit("deg")]
-Degrees = Annotated[Finite, unit("deg")]
-Number = Annotated[Finite, unit("1")]
-Count = Annotated[int, Field(ge=0)]
-Vector3 = tuple[Finite, Finite, Finite]
-Vector6 = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+def within(least: float, most: float) -> Any:
+    """Bound an annotated number, both ends included: by what a vehicle, an orbit or a camera can be.
+
+    Within all of the bounds of a configuration resets and steps come to numbers, in single precision too; a test sees
+    to it. The smallest positive ones keep a division from running over.
+    """
+    return Field(ge=least, le=most, allow_inf_nan=False)
+
+
+Length = Annotated[float, within(1e-3, 1e6), unit("m")]
+Spread = Annotated[float, within(0, 1e6), unit("m")]
+Speed = Annotated[float, within(0, 1e3), unit("m/s")]
+Turning = Annotated[float, within(0, 100), unit("rad/s")]
+Turn = Annotated[float, within(0, math.pi), unit("rad")]
+HalfTurn = Annotated[float, within(0, 180), unit("deg")]
+Degrees = Annotated[float, within(-3600, 3600), unit("deg")]
+Area = Annotated[float, within(0, 1e5), unit("m2")]
+Coefficient = Annotated[float, within(0, 10), unit("1")]
+Weight = Annotated[float, within(-1e8, 1e8), unit("1")]
+Coordinate = Annotated[float, within(-1e6, 1e6)]
+Angle = Annotated[float, within(-math.pi, math.pi)]
+Share = Annotated[float, within(-10, 10)]
+"""Of a command that is delivered; negative if it is turned round."""
+Force = Annotated[float, within(1e-3, 1e7), unit("N")]
+Torque = Annotated[float, within(1e-3, 1e7), unit("N m")]
+Inertia = Annotated[float, within(0.1, 1e10)]
+Stops = Annotated[float, within(-30, 30), unit("stops")]
+Offset = Annotated[float, within(0, 1e3)]
+Eccentricity = Annotated[float, within(-1, 1)]
+"""Added to another."""
+Delay = Annotated[int, Field(ge=0, le=10_000)]
+Factor = Annotated[float, within(1e-3, 1e3)]
+Factors = Annotated[tuple[Factor, Factor], unit("1")]
+DegreeRange = tuple[Degrees, Degrees]
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 Box = tuple[Vector3, Vector3]
-Range = tuple[Finite, Finite]
-Factors = Annotated[tuple[Positive, Positive], unit("1")]
-DegreeRange = Annotated[Range, unit("deg")]
 
 
 class Frozen(BaseModel):
     """Immutable, without unknown fields; the text under a field describes it, and `repr` tells what is not default."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        """Truth is no number here, as it is to Python; nor is a whole number that is beyond every float."""
+        if cls.model_fields[info.field_name].annotation is not bool:
+            _refuse_no_numbers(value)
+        return value
 
     def __repr_args__(self) -> list[tuple[str | None, Any]]:
         defaults = {name: field.get_default() for name, field in type(self).model_fields.items()}
         return [(name, value) for name, value in super().__repr_args__() if value != defaults.get(name)]
+
+
+def _refuse_no_numbers(value: Any) -> None:
+    if isinstance(value, list | tuple):
+        for each in value:
+            _refuse_no_numbers(each)
+    elif type(value).__name__ in ("bool", "bool_"):  # NumPy's too
+        raise ValueError(f"must be no truth value, got {value}")
+    elif isinstance(value, int) and abs(value) >= 2**1000:
+        raise ValueError(f"must be less than 2**1000 in size, got {short(value)}")
 
 
 class BiasConfig(Frozen):
@@ -45,25 +89,25 @@ class BiasConfig(Frozen):
     Sizes are total root-mean-square errors, stationary from the first observation; all zero for none.
     """
 
-    position: Annotated[NonNegative, unit("m")] = 0.0
-    velocity: Annotated[NonNegative, unit("m/s")] = 0.0
-    attitude: Annotated[NonNegative, unit("rad")] = 0.0
-    rate: Annotated[NonNegative, unit("rad/s")] = 0.0
-    correlation_time: Annotated[float, Field(gt=0), unit("s")] = 300.0
+    position: Spread = 0.0
+    velocity: Speed = 0.0
+    attitude: Turn = 0.0
+    rate: Turning = 0.0
+    correlation_time: Annotated[float, Field(ge=1e-3, allow_inf_nan=True), unit("s")] = 300.0
     """Time over which the correlation falls to 1/e; inf for a constant bias over the episode."""
 
 
 class NoiseConfig(Frozen):
     """Sensor noise as total root-mean-square errors: the norm of the error vector (paper, table of noise models)."""
 
-    position: Annotated[NonNegative, unit("m")] = 0.0
+    position: Spread = 0.0
     """Independent of range."""
-    position_per_range: Annotated[NonNegative, unit("1")] = 0.0
+    position_per_range: Coefficient = 0.0
     """Fraction of the true distance to the station origin, added to `position`."""
-    velocity: Annotated[NonNegative, unit("m/s")] = 0.0
-    attitude: Annotated[NonNegative, unit("rad")] = 0.0
+    velocity: Speed = 0.0
+    attitude: Turn = 0.0
     """Total rotation angle."""
-    rate: Annotated[NonNegative, unit("rad/s")] = 0.0
+    rate: Turning = 0.0
     bias: BiasConfig = BiasConfig()
 
 
@@ -77,30 +121,30 @@ NOISE_PRESETS: dict[str, NoiseConfig] = {
 class RewardConfig(Frozen):
     """Weights, pseudo-Huber knees (`delta_*`) and scales (`sigma_*`) of the paper's reward."""
 
-    position: Number = -0.5
-    velocity: Number = -0.2
-    attitude: Number = -0.2
-    rate: Number = -0.1
-    progress: Number = 0.0
-    proximity: Number = 0.0
-    alignment: Number = 0.0
-    effort: Number = 0.0
-    collision: Number = -1e6
-    dock: Number = 10_000.0
-    escape: Number = -10_000.0
-    delta_position: Annotated[Positive, unit("m")] = 1.0
-    sigma_position: Annotated[Positive, unit("m")] = 225.0
-    delta_velocity: Annotated[Positive, unit("m/s")] = 0.1
-    sigma_velocity: Annotated[Positive, unit("m/s")] = 5.0
-    delta_attitude: Annotated[Positive, unit("rad")] = 0.05
-    sigma_attitude: Annotated[Positive, unit("rad")] = 3.141592653589793
-    delta_rate: Annotated[Positive, unit("rad/s")] = 0.005
-    sigma_rate: Annotated[Positive, unit("rad/s")] = 0.05
-    gate_far: Annotated[NonNegative, unit("1")] = 0.1
+    position: Weight = -0.5
+    velocity: Weight = -0.2
+    attitude: Weight = -0.2
+    rate: Weight = -0.1
+    progress: Weight = 0.0
+    proximity: Weight = 0.0
+    alignment: Weight = 0.0
+    effort: Weight = 0.0
+    collision: Weight = -1e6
+    dock: Weight = 10_000.0
+    escape: Weight = -10_000.0
+    delta_position: Annotated[float, within(1e-6, 1e6), unit("m")] = 1.0
+    sigma_position: Annotated[float, within(1e-6, 1e6), unit("m")] = 225.0
+    delta_velocity: Annotated[float, within(1e-6, 1e6), unit("m/s")] = 0.1
+    sigma_velocity: Annotated[float, within(1e-6, 1e6), unit("m/s")] = 5.0
+    delta_attitude: Annotated[float, within(1e-6, 1e6), unit("rad")] = 0.05
+    sigma_attitude: Annotated[float, within(1e-6, 1e6), unit("rad")] = 3.141592653589793
+    delta_rate: Annotated[float, within(1e-6, 1e6), unit("rad/s")] = 0.005
+    sigma_rate: Annotated[float, within(1e-6, 1e6), unit("rad/s")] = 0.05
+    gate_far: Annotated[float, within(0, 1e3), unit("1")] = 0.1
     """Weight of the rotational terms far from the port; 1 at it."""
-    gate_distance: Annotated[Positive, unit("m")] = 25.0
-    sigma_proximity: Annotated[Positive, unit("m")] = 1.0
-    sigma_alignment: Annotated[Positive, unit("rad")] = 0.1
+    gate_distance: Length = 25.0
+    sigma_proximity: Length = 1.0
+    sigma_alignment: Annotated[float, within(1e-6, 1e6), unit("rad")] = 0.1
 
 
 REWARD_PRESETS: dict[str, RewardConfig] = {
@@ -125,15 +169,15 @@ REWARD_PRESETS: dict[str, RewardConfig] = {
 class ResetConfig(Frozen):
     """Distribution of episode starts: uniform magnitudes, isotropic directions, nose at the station origin."""
 
-    radius_min: Annotated[Positive, unit("m")] = 100.0
-    radius_max: Annotated[Positive, unit("m")] = 225.0
+    radius_min: Annotated[float, within(1e-3, 1e5), unit("m")] = 100.0
+    radius_max: Annotated[float, within(1e-3, 1e5), unit("m")] = 225.0
     attitude_error_deg: HalfTurn = 10.0
     """Greatest angle off the nose's direction."""
-    speed: Annotated[NonNegative, unit("m/s")] = 0.1
+    speed: Speed = 0.1
     """Greatest station-relative speed."""
-    rate: Annotated[NonNegative, unit("rad/s")] = 0.01
+    rate: Turning = 0.01
     """Greatest station-relative body rate."""
-    epoch_window: Annotated[NonNegative, unit("s")] = 7 * 86_400.0
+    epoch_window: Annotated[float, within(0, 10 * 366 * 86_400), unit("s")] = 7 * 86_400.0
     """The start epoch is uniform over this window from the reference epoch."""
 
     @model_validator(mode="after")
@@ -146,10 +190,10 @@ class ResetConfig(Frozen):
 class DockingTolerances(Frozen):
     """Docked means all four at once, station-relative."""
 
-    position: Annotated[Positive, unit("m")] = 0.1
-    speed: Annotated[Positive, unit("m/s")] = 0.5
-    attitude_deg: Annotated[Positive, unit("deg")] = 5.0
-    rate_deg: Annotated[Positive, unit("deg/s")] = 0.5
+    position: Annotated[float, within(1e-6, 1e3), unit("m")] = 0.1
+    speed: Annotated[float, within(1e-6, 1e3), unit("m/s")] = 0.5
+    attitude_deg: Annotated[float, within(1e-6, 180), unit("deg")] = 5.0
+    rate_deg: Annotated[float, within(1e-6, 6000), unit("deg/s")] = 0.5
 
 
 class ChiefConfig(Frozen):
@@ -157,7 +201,7 @@ class ChiefConfig(Frozen):
 
     reference_epoch: str = "2026-08-01T00:00:00Z"
     """UTC, ISO 8601."""
-    semi_major_axis: Annotated[float, Field(gt=EARTH_RADIUS, allow_inf_nan=False), unit("m")] = 6_795_000.0
+    semi_major_axis: Annotated[float, Field(gt=EARTH_RADIUS, le=1e8, allow_inf_nan=False), unit("m")] = 6_795_000.0
     eccentricity: Annotated[float, Field(ge=0, lt=1), unit("1")] = 0.0005
     inclination_deg: Degrees = 51.64
     raan_deg: Degrees = 0.0
@@ -166,54 +210,57 @@ class ChiefConfig(Frozen):
     secular_drift: bool = True
     """Node, perigee and mean anomaly drift at their mean rates under J2 from the reference epoch to an episode's
     start, so that the angle between Sun and orbit changes over the window of epochs."""
-    mass: Annotated[Positive, unit("kg")] = 419_700.0
-    drag_area: Annotated[NonNegative, unit("m2")] = 1500.0
-    drag_coefficient: Annotated[NonNegative, unit("1")] = 2.2
+    mass: Annotated[float, within(1e3, 1e8), unit("kg")] = 419_700.0
+    drag_area: Area = 1500.0
+    drag_coefficient: Coefficient = 2.2
 
     @field_validator("reference_epoch", mode="before")
     @classmethod
     def _a_date(cls, value):
         # An unquoted date in TOML comes as Python's own; without an offset it is UTC.
-        if isinstance(value, datetime.datetime):
-            given = value.replace(tzinfo=value.tzinfo or datetime.UTC).astimezone(datetime.UTC)
-            return given.isoformat().replace("+00:00", "Z")
-        if isinstance(value, datetime.date):
-            return f"{value.isoformat()}T00:00:00Z"
+        told = value
+        if isinstance(value, datetime.date) and not isinstance(value, datetime.datetime):
+            value = told = f"{value.isoformat()}T00:00:00Z"
         try:
-            datetime.datetime.fromisoformat(value)
+            given = value if isinstance(value, datetime.datetime) else datetime.datetime.fromisoformat(value)
         except (TypeError, ValueError):
-            came = value if isinstance(value, datetime.time) else repr(value)
+            came = value if isinstance(value, datetime.time) else short(value)
             raise ValueError(f"must be a date and time, such as 2026-08-01T00:00:00Z, got {came}") from None
-        return value
+        if not 1900 <= given.year < 2100:  # where Sun and Moon are known
+            raise ValueError(f"must lie from 1900 to 2099, got {told}")
+        if isinstance(value, str):
+            return value
+        given = given.replace(tzinfo=given.tzinfo or datetime.UTC).astimezone(datetime.UTC)
+        return given.isoformat().replace("+00:00", "Z")
 
 
 class ChaserConfig(Frozen):
     """The Dragon-class chaser and its thrusters."""
 
-    mass: Annotated[Positive, unit("kg")] = 12_000.0
-    inertia: Annotated[tuple[Positive, Positive, Positive], unit("kg m2")] = (80_000.0, 80_000.0, 50_000.0)
+    mass: Annotated[float, within(1, 1e7), unit("kg")] = 12_000.0
+    inertia: Annotated[tuple[Inertia, Inertia, Inertia], unit("kg m2")] = (80_000.0, 80_000.0, 50_000.0)
     """Principal moments about the body axes."""
-    drag_area: Annotated[NonNegative, unit("m2")] = 50.0
-    drag_coefficient: Annotated[NonNegative, unit("1")] = 2.2
-    radius: Annotated[Positive, unit("m")] = 2.25
+    drag_area: Area = 50.0
+    drag_coefficient: Coefficient = 2.2
+    radius: Annotated[float, within(1e-3, 1e3), unit("m")] = 2.25
     """Of the bounding sphere."""
-    force_limit: Annotated[Positive, unit("N")] = 1600.0
+    force_limit: Force = 1600.0
     """Per body axis."""
-    torque_limit: Annotated[Positive, unit("N m")] = 2000.0
+    torque_limit: Torque = 2000.0
     """Per body axis."""
-    thrust_scale: Annotated[Vector6, unit("1")] = (1.0,) * 6
+    thrust_scale: Annotated[tuple[Share, Share, Share, Share, Share, Share], unit("1")] = (1.0,) * 6
     """Delivered over commanded wrench, per axis."""
-    misalignment: Annotated[Vector3, unit("rad")] = (0.0, 0.0, 0.0)
+    misalignment: Annotated[tuple[Angle, Angle, Angle], unit("rad")] = (0.0, 0.0, 0.0)
     """Rotation vector from the commanded to the delivered wrench's axes."""
-    actuation_delay: Annotated[Count, unit("steps")] = 0
+    actuation_delay: Annotated[Delay, unit("steps")] = 0
     """Simulation steps between command and delivery."""
     thrusters: Literal["proportional", "on_off"] = "proportional"
     """Whether a wrench is delivered as commanded, or as pulses of whole quanta (`task.actuators`)."""
-    thruster_force: Annotated[Positive, unit("N")] = 400.0
+    thruster_force: Force = 400.0
     """Least force of on-off thrusters along an axis; they deliver whole multiples."""
-    thruster_torque: Annotated[Positive, unit("N m")] = 500.0
+    thruster_torque: Torque = 500.0
     """Least torque of on-off thrusters about an axis."""
-    minimum_on_time: Annotated[NonNegative, unit("s")] = 0.05
+    minimum_on_time: Annotated[float, within(0, 1e3), unit("s")] = 0.05
     """Least length of a pulse of on-off thrusters; rounded up to whole simulation steps, at least one."""
 
     @model_validator(mode="after")
@@ -227,7 +274,7 @@ class ChaserConfig(Frozen):
         return self
 
 
-def low_then_high(value: Range) -> Range:
+def low_then_high(value: tuple) -> tuple:
     """A range whose low end comes first; ValueError otherwise."""
     if value[0] > value[1]:
         raise ValueError(f"a range needs its low end first, got {value}")
@@ -240,9 +287,9 @@ class CameraRanges(Frozen):
     sun_scale: Factors = (1.0, 1.0)
     earthshine_scale: Factors = (1.0, 1.0)
     lamp_scale: Factors = (1.0, 1.0)
-    exposure: Annotated[Range, unit("stops")] = (0.0, 0.0)
+    exposure: tuple[Stops, Stops] = (0.0, 0.0)
     """Added to the camera's."""
-    offset: Annotated[tuple[NonNegative, NonNegative], unit("m")] = (0.0, 0.0)
+    offset: Annotated[tuple[Offset, Offset], unit("m")] = (0.0, 0.0)
     """Distance by which the camera stands elsewhere; isotropic direction."""
     tilt_deg: tuple[HalfTurn, HalfTurn] = (0.0, 0.0)
     """Angle by which it looks elsewhere; isotropic axis."""
@@ -273,14 +320,14 @@ class RandomizationConfig(Frozen):
     mass_scale: Factors = (1.0, 1.0)
     inertia_scale: Factors = (1.0, 1.0)
     """Per principal axis."""
-    thrust_scale: Annotated[Range, unit("1")] = (1.0, 1.0)
+    thrust_scale: Annotated[tuple[Share, Share], unit("1")] = (1.0, 1.0)
     """Per axis of the wrench."""
     misalignment_deg: tuple[HalfTurn, HalfTurn] = (0.0, 0.0)
     """Angle by which the delivered wrench is turned, besides `chaser.misalignment`; isotropic axis."""
-    actuation_delay: Annotated[tuple[Count, Count], unit("steps")] = (0, 0)
+    actuation_delay: Annotated[tuple[Delay, Delay], unit("steps")] = (0, 0)
     """Whole simulation steps, both ends included."""
-    chief_semi_major_axis: Annotated[Range, unit("m")] = (0.0, 0.0)
-    chief_eccentricity: Annotated[Range, unit("1")] = (0.0, 0.0)
+    chief_semi_major_axis: Annotated[tuple[Coordinate, Coordinate], unit("m")] = (0.0, 0.0)
+    chief_eccentricity: Annotated[tuple[Eccentricity, Eccentricity], unit("1")] = (0.0, 0.0)
     chief_inclination_deg: DegreeRange = (0.0, 0.0)
     chief_raan_deg: DegreeRange = (0.0, 0.0)
     chief_argument_of_perigee_deg: DegreeRange = (0.0, 0.0)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from astrojax.time import mjd_from_calendar
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.layout import Span
 from owm_envs.episode import POLICY_NAMES
@@ -87,6 +88,7 @@ def check_episode(columns: Columns, span: Span, fps: float, config: DockingConfi
     _check_ranges(require, limits)
     _check_motion(require, limits)
     if config is not None:
+        _check_start(require, config)
         _check_ending(require, config)
         _check_measurement(require, config)
 
@@ -223,6 +225,24 @@ def turned(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     scalar = np.sum(before * after, axis=1, keepdims=True)
     vector = before[:, :1] * after[:, 1:] - after[:, :1] * before[:, 1:] - np.cross(before[:, 1:], after[:, 1:])
     return 2 * vector * np.where(scalar < 0, -1, 1)
+
+
+def _check_start(episode: _Episode, config: DockingConfig) -> None:
+    """The episode began where, and when, the configuration lets one begin."""
+    reset, first = config.reset, np.arange(episode.rows) > 0
+    view, name = View.of(episode.truth), "observation.environment_state"
+    for part, least, most, unit in (
+        ("position", reset.radius_min, reset.radius_max, "m"),
+        ("velocity", 0.0, reset.speed, "m/s"),
+        ("rate", 0.0, reset.rate, "rad/s"),
+    ):
+        size, slack = np.linalg.norm(getattr(view, part), axis=1), 1e-5 * most + 1e-9
+        good = first | ((size >= least - slack) & (size <= most + slack))
+        episode(name, good, f"a true {part} of {least:g} to {most:g} {unit} at the start", size)
+    day, seconds = mjd_from_calendar(config.chief.reference_epoch)
+    since = (episode["epoch"][:, 0] - day) * 86_400 + episode["epoch"][:, 1] - seconds
+    good = first | ((since >= -1) & (since <= reset.epoch_window + 1))
+    episode("epoch", good, f"within {reset.epoch_window:g} s of the reference epoch at the start", episode["epoch"])
 
 
 def _check_ending(episode: _Episode, config: DockingConfig) -> None:

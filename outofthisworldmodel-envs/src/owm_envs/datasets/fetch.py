@@ -9,6 +9,7 @@ from owm_envs import hub
 from owm_envs.datasets.manifest import MANIFEST, Entry, check_manifest, load_manifest, manifest_text
 from owm_envs.datasets.recipe import SPLITS
 from owm_envs.datasets.runs import GENERATION
+from owm_envs.files import read_text
 from owm_envs.hub import SOURCE, Fetched
 
 RUN_FILES = (GENERATION, "config.toml")
@@ -84,7 +85,7 @@ def download(
 def origin(folder: str | os.PathLike) -> str | None:
     """The repository and commit that a folder was fetched from, or None."""
     try:
-        told = json.loads((Path(folder) / SOURCE).read_text(encoding="utf-8"))["repositories"]
+        told = json.loads(read_text(Path(folder) / SOURCE))["repositories"]
         return ", ".join(f"{name}@{commit}" for name, commit in told.items())
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

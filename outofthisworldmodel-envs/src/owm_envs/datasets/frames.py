@@ -115,5 +115,5 @@ def decode(path: Path, fps: float, first: int, last: int) -> Iterator[tuple[int,
                     return
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} is missing") from None
-    except (av.FFmpegError, IndexError, TypeError, MemoryError) as error:
+    except (av.FFmpegError, ArithmeticError, IndexError, TypeError, MemoryError) as error:
         raise ValueError(f"{path} cannot be decoded: {' '.join(str(error).split())}") from None

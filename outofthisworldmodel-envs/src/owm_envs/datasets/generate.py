@@ -20,7 +20,7 @@ from filelock import FileLock, Timeout
 from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig
 from owm_envs.datasets.card import dataset_card
-from owm_envs.datasets.manifest import write_manifest
+from owm_envs.datasets.manifest import check_manifest, write_manifest
 from owm_envs.datasets.pieces import Film, Pieces
 from owm_envs.datasets.recipe import SPLITS, Flight, Request, Split, batch_size, flights, splits
 from owm_envs.datasets.runs import GENERATION
@@ -29,19 +29,18 @@ from owm_envs.datasets.versions import versions
 from owm_envs.datasets.writer import Written, write_meta, write_split
 from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.files import (
-    JOURNAL,
     FolderTaken,
     check_free,
     output_folder,
     publish,
     published,
     remove,
-    strangers,
     write_atomically,
 )
 from owm_envs.pipeline import ahead
 from owm_envs.station.ports import PORT_NAMES
 from owm_envs.video import require_av
+from owm_envs.words import plain
 
 if TYPE_CHECKING:
     from owm_envs.task.sensors import Sensor
@@ -53,6 +52,8 @@ BYTES_PER_TRANSITION = 600
 _CHUNK_BYTES = 2**26
 """Of pixels and the like that a chunk of a rollout may hold; three of them are in memory at a time."""
 PIECES, _SPILL, _LOCK = "pieces", "spill", ".lock"
+_ASIDE = (PIECES, _SPILL)
+"""Folders of what only the recording needs."""
 
 
 class Shard(NamedTuple):
@@ -116,7 +117,7 @@ def generate(
 
     Raises:
         FolderTaken: `out` holds something else, or an unfinished run of other settings stands in its way.
-        ValueError: no train port is configured.
+        ValueError: no train port is configured, or `out` is finished but was damaged since.
         ImportError: frames are to be recorded, and PyAV is not installed.
         OSError: the disk is full.
     """
@@ -126,14 +127,17 @@ def generate(
     moved = published(partial)
     done = Claim(out, settings, GENERATION, besides=moved)
     if result := (done.found or {}).get("result"):
-        if partial.is_dir() and not strangers(partial, [JOURNAL]):
-            remove(partial)  # the last that was left to do when the run was killed
+        if moved or (partial.is_dir() and not any(partial.iterdir())):
+            publish(partial, out)  # the last that was left to do when the run was killed
+        _check_whole(out, shard)
         announce(f"{out} is complete already")
         return result
     check_free(out, moved)
     claim = Claim(partial, settings, GENERATION)
-    if result := (claim.found or {}).get("result"):
+    if (result := (claim.found or {}).get("result")) and (moved or _is_whole(partial, shard)):
         _finish(partial, out, shard)
+        if moved:
+            _check_whole(out, shard)
         return result
     plan = splits(request, config)  # refuses what cannot be before anything is written
     parts = _parts(config, sensors)
@@ -159,6 +163,8 @@ def generate(
         else:
             summary = {name: {"episodes": len(own)} for name, own in numbers.items()}
         claim.note(policies=list(POLICY_NAMES), versions=versions(), result=summary)
+        if shard is None:
+            write_manifest(partial, _ASIDE)  # the seal: without it the files are made again
     except Timeout:
         raise FolderTaken(
             f"another process is recording into {partial}: wait for it, or choose another folder"
@@ -180,9 +186,26 @@ def _finish(partial: Path, out: Path, shard: Shard | None) -> None:
     if not published(partial):
         for name in (_SPILL, _LOCK, *([PIECES] if shard is None else [])):
             remove(partial / name)
-        if shard is None:
-            write_manifest(partial)
     publish(partial, out)
+
+
+def _is_whole(partial: Path, shard: Shard | None) -> bool:
+    """Whether all files are as they were sealed; those of a share are looked at when they are merged."""
+    try:
+        if shard is None:
+            check_manifest(partial, _ASIDE)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def _check_whole(out: Path, shard: Shard | None) -> None:
+    """Refuse a finished run that was damaged since."""
+    try:
+        if shard is None:
+            check_manifest(out)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{plain(error)}; remove {out}, and the same command records it anew") from None
 
 
 def settings_of(

@@ -1,6 +1,5 @@
 """Where the episodes of a LeRobot dataset lie in its files, in versions 2.1 and 3."""
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from owm_envs.datasets.frames import Clip
 from owm_envs.datasets.parse import read_json, read_lines, read_rows, row_count, schema_of
 from owm_envs.files import inner_path
+from owm_envs.words import is_number, short
 
 _OWN = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
 
@@ -86,11 +86,11 @@ def read_info(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{folder} is a LeRobot dataset of version {version!r}; this reads v2.1 and v3")
     if (storage := info.get("storage_format", "parquet")) != "parquet":
         raise ValueError(f"{folder} is stored as {storage!r}; this reads Parquet and MP4 files")
-    if "fps" in info and not (_is_number(info["fps"]) and 0 < info["fps"] < 1e6):
+    if "fps" in info and not (is_number(info["fps"]) and 0 < info["fps"] < 1e6):
         raise ValueError(f"{path}: fps must be a number above 0, got {info['fps']!r}")
     for name in ("total_episodes", "total_frames"):
         if name in info and not (type(info[name]) is int and info[name] >= 0):
-            raise ValueError(f"{path}: {name} must be a count, got {info[name]!r}")
+            raise ValueError(f"{path}: {name} must be a count, got {short(info[name])}")
     features = info.setdefault("features", {})
     if not isinstance(features, dict):
         raise ValueError(f"{path}: features must be a table by name, got a {type(features).__name__}")
@@ -98,12 +98,8 @@ def read_info(folder: Path) -> dict[str, Any]:
         shape = feature.get("shape") if isinstance(feature, dict) else None
         sound = isinstance(shape, list) and all(type(n) is int and 0 <= n < 1 << 31 for n in shape)
         if not (sound and isinstance(feature.get("dtype"), str)):
-            raise ValueError(f"{path}: feature {name} must have a dtype and a shape, got {feature!r}")
+            raise ValueError(f"{path}: feature {name} must have a dtype and a shape, got {short(feature)}")
     return info
-
-
-def _is_number(value: object) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
 
 
 def is_v2(info: dict[str, Any]) -> bool:
@@ -125,7 +121,7 @@ def read_layout(folder: Path, info: dict[str, Any]) -> Layout:
         ("frames", int(layout.rows.sum()), info.get("total_frames")),
     ]:
         if told is not None and found != told:
-            raise ValueError(f"{folder} is incomplete: it holds {found} {name}, its info.json tells of {told}")
+            raise ValueError(f"{folder} is incomplete: it holds {found} {name}, its info.json tells of {short(told)}")
     for file in layout.files:
         if not file.is_file():
             raise FileNotFoundError(f"{file} is missing: {folder} is incomplete")
@@ -197,11 +193,13 @@ def _version_2(folder: Path, info: dict[str, Any]) -> Layout:
     for number, line in enumerate(told):
         length = line.get("length")
         if line.get("episode_index") != number or not (type(length) is int and 0 < length < 1 << 31):
-            raise ValueError(f"{path}, line {number + 1}: must have episode_index {number} and a length, got {line}")
+            raise ValueError(
+                f"{path}, line {number + 1}: must have episode_index {number} and a length, got {short(line)}"
+            )
     rows = np.array([line["length"] for line in told], np.int64)
     per_chunk = info.get("chunks_size", 1000)
-    if not (type(per_chunk) is int and per_chunk > 0):
-        raise ValueError(f"{folder / 'meta' / 'info.json'}: chunks_size must be at least 1, got {per_chunk!r}")
+    if not (type(per_chunk) is int and 0 < per_chunk < 1 << 31):
+        raise ValueError(f"{folder / 'meta' / 'info.json'}: chunks_size must be a count, got {short(per_chunk)}")
     number = np.arange(len(told))
     episode = {"episode_chunk": number // per_chunk, "episode_index": number}
     data = info.get("data_path", "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet")

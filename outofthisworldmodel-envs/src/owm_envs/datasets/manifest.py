@@ -3,11 +3,11 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from owm_envs.files import inner_path, write_atomically
+from owm_envs.files import inner_path, read_text, write_atomically
 from owm_envs.hub import SOURCE
 
 MANIFEST = "manifest.json"
@@ -30,16 +30,19 @@ class Entry(NamedTuple):
             return cls(hashlib.file_digest(file, "sha256").hexdigest(), content.stat().st_size)
 
 
-def write_manifest(root: str | os.PathLike) -> None:
+def write_manifest(root: str | os.PathLike, besides: Collection[str] = ()) -> None:
     """List every file below a folder in its `manifest.json`.
 
     Left out are `BESIDE`, and files and folders whose names begin with a dot: half-written, or left by desktops.
+
+    Args:
+        besides: names of folders in it that are no part of the run.
 
     Raises:
         ValueError: a symbolic link or something else that is no plain file lies there.
     """
     root = Path(root)
-    text = manifest_text({name: Entry.of(root / name) for name in _names(root)})
+    text = manifest_text({name: Entry.of(root / name) for name in _names(root, besides)})
     write_atomically(root / MANIFEST, lambda file: file.write(text), text=True)
 
 
@@ -58,30 +61,36 @@ def load_manifest(root: str | os.PathLike) -> dict[str, Entry]:
     """
     path = Path(root) / MANIFEST
     try:
-        files = json.loads(path.read_text(encoding="utf-8"))["files"]
+        files = json.loads(read_text(path))["files"]
         entries = {str(name): Entry(str(told["sha256"]), int(told["bytes"])) for name, told in files.items()}
     except FileNotFoundError:
         raise FileNotFoundError(f"{Path(root)} has no {MANIFEST}, so nothing tells whether it is whole") from None
-    except (UnicodeDecodeError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path} is damaged: {error!r}") from None
     for name in entries:
         inner_path(name)
     return entries
 
 
-def check_manifest(root: str | os.PathLike) -> None:
+def check_manifest(root: str | os.PathLike, besides: Collection[str] = ()) -> None:
     """Compare a folder with its manifest, file by file.
+
+    Args:
+        besides: as `write_manifest` takes it.
 
     Raises:
         FileNotFoundError: there is no manifest.
         ValueError: the first difference: a file is missing, of another size or hash, or not listed.
     """
-    for told in differences(root):
+    for told in differences(root, besides):
         raise ValueError(told)
 
 
-def differences(root: str | os.PathLike) -> Iterator[str]:
+def differences(root: str | os.PathLike, besides: Collection[str] = ()) -> Iterator[str]:
     """Everything in which a folder differs from its manifest, in words.
+
+    Args:
+        besides: as `write_manifest` takes it.
 
     Raises:
         FileNotFoundError: there is no manifest.
@@ -89,7 +98,7 @@ def differences(root: str | os.PathLike) -> Iterator[str]:
     """
     root = Path(root)
     entries = load_manifest(root)
-    there = set(_names(root))
+    there = set(_names(root, besides))
     for name in sorted(set(entries) - there):
         yield f"{root / name} is missing; {MANIFEST} lists it"
     for name in sorted(there - set(entries)):
@@ -116,10 +125,10 @@ def check_entry(path: Path, entry: Entry, *, content: bool = True) -> None:
         raise ValueError(f"{path} does not match its SHA-256 in {MANIFEST}: damaged, or changed since")
 
 
-def _names(root: Path) -> Iterator[str]:
+def _names(root: Path, besides: Collection[str]) -> Iterator[str]:
     """Paths of the files below a folder that are part of the run, "/" between their parts."""
     for folder, folders, files in os.walk(root):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        folders[:] = [n for n in folders if not (n.startswith(".") or (Path(folder) == root and n in besides))]
         for name in (*folders, *files):
             path = Path(folder, name)
             if path.is_symlink() or not (path.is_dir() or path.is_file()):

@@ -5,12 +5,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from owm_envs.claims import Claim
-from owm_envs.config import DockingConfig, load_config
+from owm_envs.config import load_config
 from owm_envs.datasets.generate import PIECES, Progress, Shard, generate, settings_of
 from owm_envs.datasets.pieces import Pieces
 from owm_envs.datasets.recipe import SPLITS, Request
 from owm_envs.datasets.runs import GENERATION
-from owm_envs.files import output_folder
+from owm_envs.files import output_folder, read_text
+from owm_envs.words import plain
 
 
 def merge(
@@ -53,7 +54,7 @@ def merge(
         raise ValueError(f"shares are missing: {', '.join(missing)}")
     if first.get("sensors"):
         raise ValueError("shares with further sensors are merged by generate, in Python, not here")
-    request, config = Request(**first["request"]), load_config(DockingConfig.model_validate(first["environment"]))
+    request, config = Request(**first["request"]), load_config(first["environment"])
     out = output_folder(out)
     partial = out.with_name(out.name + ".partial")
     if not Claim(out, settings_of(config, request), GENERATION).found:
@@ -70,15 +71,16 @@ def _told(folder: Path) -> dict:
     """The `generation.json` of a finished share."""
     path = folder / GENERATION
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = json.loads(read_text(path))
         if not isinstance(told["request"], dict) or not isinstance(told["environment"], dict):
             raise TypeError("request and environment must be tables")
+        Request(**told["request"]), load_config(told["environment"]), Shard.parse(told.get("shard", "1/1"))
     except FileNotFoundError:
         partial = folder.with_name(folder.name + ".partial")
         hint = f"; {partial} holds an unfinished one: run its command again" if partial.is_dir() else ""
         raise ValueError(f"{folder} is no share of a dataset: it has no {GENERATION}{hint}") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged: {plain(error)}") from None
     if "shard" not in told or "result" not in told:
         raise ValueError(f"{folder} is no finished share: record it with --shard")
     return told

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from owm_envs.datasets.schema import FEATURES, OBSERVATION, Feature
 from owm_envs.datasets.statistics import QUANTILES, Statistics
 from owm_envs.episode import Episode
 from owm_envs.station.ports import PORT_NAMES
+from owm_envs.words import short
 
 
 def check_metadata(folder: Path, info: Mapping[str, Any], layout: Layout, run: Run) -> None:
@@ -34,6 +36,13 @@ def check_metadata(folder: Path, info: Mapping[str, Any], layout: Layout, run: R
             raise ValueError(f"{path}: a further feature must be a part of the observation, got {name!r}")
         if feature.dtype == "video":
             frame_size(name, told)
+        if wanted is not None and told.get("names") != wanted.names:
+            raise ValueError(
+                f"{path}: the numbers of {name} must be called {wanted.names}, got {short(told.get('names'))}"
+            )
+    for name, wanted in (("total_tasks", len(PORT_NAMES)), ("splits", {"train": f"0:{len(layout)}"})):
+        if info.get(name, wanted) != wanted:
+            raise ValueError(f"{path}: {name} must be {wanted}, got {short(info[name])}")
     if not fps:
         raise ValueError(f"{path}: fps must be a number above 0, got {fps!r}")
     if run.config is not None and abs(fps * run.config.decision_dt - 1) > 1e-6:
@@ -115,6 +124,8 @@ def pooled(parts: Sequence[Statistics]) -> Statistics:
             )
         except (KeyError, ValueError):
             raise ValueError(f"the episodes' statistics of {name} must each have min, max, mean, std, count") from None
+        if not (count.sum(axis=0) > 0).all():
+            raise ValueError(f"the episodes' statistics of {name} must count at least one row")
         share = (count / count.sum(axis=0)).reshape(len(parts), *[1] * (mean.ndim - 1))
         together = np.sum(share * mean, axis=0)
         with np.errstate(over="ignore"):
@@ -136,6 +147,19 @@ def check_statistics(path: Path, statistics: Statistics, features: Mapping[str, 
             if numbers is None or numbers.size != wanted:
                 came = "none" if numbers is None else numbers.size
                 raise ValueError(f"{path}: {key} of {name} must be {wanted} numbers, got {came}")
+        if feature["dtype"] != "video":
+            _check_order(path, name, statistics[name])
+
+
+def _check_order(path: Path, name: str, part: Mapping[str, np.ndarray]) -> None:
+    """Statistics are those of some rows: each lies where the others leave it room."""
+    low, high, mean, std = (part[key].astype(np.float64).reshape(-1) for key in ("min", "max", "mean", "std"))
+    slack = 1e-6 * np.maximum(np.maximum(np.abs(low), np.abs(high)), 1e-3)
+    ordered = [low, *(part[key].astype(np.float64).reshape(-1) for key in QUANTILES), high]
+    sound = all((one <= other + slack).all() for one, other in pairwise(ordered))
+    sound &= bool(((mean >= low - slack) & (mean <= high + slack) & (std <= (high - low) / 2 + slack)).all())
+    if not sound or part["count"].reshape(-1)[0] < 1:
+        raise ValueError(f"{path}: the statistics of {name} must be those of at least one row, min to max in order")
 
 
 def _numbers(path: Path, name: str, key: str, part: Mapping[str, Any]) -> np.ndarray:

@@ -10,6 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from owm_envs.files import plain_file
+
+_MOST = 2**40
+"""Bytes of a file of rows, or of a line for each episode."""
+
 
 def read_json(path: Path, what: str = "a JSON object") -> dict[str, Any]:
     """The object that a JSON file holds.
@@ -20,7 +25,7 @@ def read_json(path: Path, what: str = "a JSON object") -> dict[str, Any]:
     Raises:
         ValueError: it cannot be read, or is no object.
     """
-    return _object(path, what, path, lambda: path.read_text(encoding="utf-8"))
+    return _object(path, what, path, lambda: plain_file(path).read_text(encoding="utf-8"))
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
@@ -30,8 +35,8 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         ValueError: it cannot be read, or a line is no object.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        lines = plain_file(path, _MOST).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read: {error}") from None
     told = ((f"{path}, line {number}", line) for number, line in enumerate(lines, 1) if line.strip())
     return [_object(path, "a JSON object", where, lambda line=line: line) for where, line in told]
@@ -89,7 +94,7 @@ def _rows(footer: pq.FileMetaData, group: int) -> int:
 
 
 def _footer(path: Path) -> pq.FileMetaData:
-    about = path.stat()
+    about = plain_file(path, _MOST).stat()
     return _footer_at(path, about.st_mtime_ns, about.st_size)
 
 

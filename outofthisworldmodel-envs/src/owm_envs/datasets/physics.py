@@ -11,11 +11,15 @@ import numpy as np
 from jaxtyping import Float
 
 from owm_envs.config import DockingConfig
-from owm_envs.datasets.checks import Columns, turned
+from owm_envs.config.params import params_from_config
+from owm_envs.datasets.checks import DOCKED, ESCAPED, Columns, turned
 from owm_envs.env import DockingEnv
 from owm_envs.flags import own_flags
 from owm_envs.task.actuators import actuators_at_rest, deliver
+from owm_envs.task.events import error_norms, safe_norm
+from owm_envs.task.navigation import goal_error
 from owm_envs.task.randomization import drawable
+from owm_envs.task.reward import reward
 from owm_envs.task.sensors import Truth
 from owm_envs.view import View
 
@@ -27,6 +31,8 @@ STEP_TOLERANCE = {"float64": (1e-6, 1e-6, 1e-7, 1e-7), "float32": (2e-3, 2e-4, 1
 In double precision some thousand times what was measured: an action is kept in single precision, and the numerical
 fidelity's station starts anew at each row on its Kepler orbit, not on the one flown.
 """
+REWARD_TOLERANCE = {"float64": 1e-5, "float32": 1e-3}
+"""By precision, of one more than the reward."""
 LEVEL = 1e-6
 """Of the test of noise: a sound dataset is called wrong once in a million tests."""
 PSNR = 25.0
@@ -93,6 +99,47 @@ def _differences(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     apart = [one.position - other.position, one.velocity - other.velocity]
     apart += [turned(one.attitude, other.attitude), one.rate - other.rate]
     return np.stack([np.linalg.norm(each, axis=1) for each in apart], axis=1)
+
+
+def reward_errors(episodes: Iterable[Columns], config: DockingConfig) -> Float[np.ndarray, "E"]:
+    """The largest difference of each episode's rewards from those of its true rows, over `REWARD_TOLERANCE`.
+
+    Whether a decision touched the hull and flew on is not recorded: the nearer of both rewards counts.
+
+    Args:
+        episodes: columns of each.
+    """
+    with own_flags():
+        params = params_from_config(config)
+        errors = []
+        for columns in episodes:
+            told, action = columns["next.reward"][:-1].astype(np.float64), columns["action"]
+            rows, outcome = len(told), int(columns["outcome"][0])
+            padded = 1 << max(rows, 1).bit_length()
+            fill = np.minimum(np.arange(padded), rows)
+            number = partial(np.asarray, dtype=config.precision)
+            truth = number(columns["observation.environment_state"][fill])
+            wrench = number(np.where(np.isfinite(action).all(axis=1, keepdims=True), action, 0)[fill[:-1]])
+            last = np.arange(padded - 1) == rows - 1
+            port, docked, escaped = int(columns["port"][0]), last & (outcome == DOCKED), last & (outcome == ESCAPED)
+            both = _rewards(params, truth, wrench, port, docked, escaped)
+            off = np.min([np.abs(np.asarray(each, np.float64)[:rows] - told) for each in both], axis=0)
+            errors.append(np.max(off / (REWARD_TOLERANCE[config.precision] * (1 + np.abs(told)))))
+    return np.array(errors)
+
+
+@jax.jit
+def _rewards(params, truth, wrench, port, docked, escaped):
+    """The rewards of decisions from each row to the next: without a touch, and with one."""
+    errors = jax.vmap(goal_error, (0, None))(truth, params.goals[port])
+    norms, away = jax.vmap(error_norms)(errors), jax.vmap(safe_norm)(errors[:, :3])
+
+    def earned(touched):
+        return jax.vmap(reward, (None, 0, 0, 0, None, 0, 0))(
+            params, norms[1:], away[:-1], wrench, jnp.asarray(touched), docked, escaped
+        )
+
+    return earned(False), earned(True)
 
 
 class Residuals(NamedTuple):

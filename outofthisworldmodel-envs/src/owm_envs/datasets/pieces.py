@@ -1,5 +1,6 @@
 """Recorded episodes before they are a dataset: each is whole on disk, or not there."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -13,7 +14,7 @@ from jaxtyping import Int, UInt8
 
 from owm_envs.datasets.schema import columns_from_episode
 from owm_envs.episode import Episode
-from owm_envs.files import write_atomically
+from owm_envs.files import settle, write_atomically
 from owm_envs.video import VideoWriter
 
 
@@ -59,13 +60,19 @@ class Piece(NamedTuple):
 
 
 class Pieces:
-    """A folder of recorded episodes by their numbers in a split."""
+    """A folder of recorded episodes by their numbers in a split; one that was damaged is not in it."""
 
     def __init__(self, folder: Path):
         self.folder = folder
 
     def __contains__(self, number: int) -> bool:
-        return self._path(number).is_file()
+        if not self._path(number).is_file():
+            return False
+        try:
+            _, about = self._read(number)
+            return {part: _film_digest(self.film(number, part)) for part in about["films"]} == about["digests"]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
+            return False
 
     def __iter__(self) -> Iterator[int]:
         return iter(sorted(int(path.stem) for path in self.folder.glob("*.arrow")))
@@ -78,9 +85,12 @@ class Pieces:
             "port": episode.port,
             "shapes": {name: values.shape[1:] for name, values in columns.items()},
             "films": {part: film.histogram.tolist() for part, film in films.items()},
+            "digests": {part: _film_digest(film.path) for part, film in films.items()},
         }
+        about["sha256"] = _digest(about, columns)
         self.folder.mkdir(parents=True, exist_ok=True)
         for part, film in films.items():
+            settle(film.path)
             os.replace(film.path, self.film(number, part))
         table = pa.table({name: arrow(values) for name, values in columns.items()})
         table = table.replace_schema_metadata({"piece": json.dumps(about)})
@@ -92,12 +102,22 @@ class Pieces:
         write_atomically(self._path(number), write)  # the seal: films without it are written again
 
     def get(self, number: int) -> Piece:
-        """Give an episode back."""
+        """Give an episode back.
+
+        Raises:
+            OSError, ValueError: it is missing, or was damaged.
+        """
+        columns, about = self._read(number)
+        return Piece(columns, about["port"], {part: np.array(counts) for part, counts in about["films"].items()})
+
+    def _read(self, number: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         with pa.OSFile(os.fspath(self._path(number))) as file:
             table = pa.ipc.open_file(file).read_all()
         about = json.loads(table.schema.metadata[b"piece"])
         columns = {name: from_arrow(table[name]).reshape(-1, *shape) for name, shape in about["shapes"].items()}
-        return Piece(columns, about["port"], {part: np.array(counts) for part, counts in about["films"].items()})
+        if about.pop("sha256") != _digest(about, columns):
+            raise ValueError(f"{self._path(number)} is not what was written: damaged")
+        return columns, about
 
     def film(self, number: int, part: str) -> Path:
         """Where the film of a part of an episode is."""
@@ -124,7 +144,7 @@ class Pieces:
         taken = 0
         self.folder.mkdir(parents=True, exist_ok=True)
         for number in other:
-            if number in self:
+            if self._path(number).is_file():
                 continue
             for source in [*sorted(other.folder.glob(f"{number:06d}.*.mp4")), other._path(number)]:
                 target = self.folder / source.name
@@ -138,6 +158,18 @@ class Pieces:
 
     def _path(self, number: int) -> Path:
         return self.folder / f"{number:06d}.arrow"
+
+
+def _digest(about: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
+    sha = hashlib.sha256(json.dumps(about, sort_keys=True).encode())
+    for name, values in columns.items():
+        sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
+    return sha.hexdigest()
+
+
+def _film_digest(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def arrow(values: np.ndarray) -> pa.Array:

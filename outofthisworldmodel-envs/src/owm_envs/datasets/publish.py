@@ -14,8 +14,10 @@ from owm_envs.config import load_config
 from owm_envs.datasets.card import dataset_card
 from owm_envs.datasets.fetch import RUN_FILES
 from owm_envs.datasets.manifest import MANIFEST, Entry, check_manifest, load_manifest, manifest_text
-from owm_envs.datasets.runs import GENERATION
+from owm_envs.datasets.recipe import Request
+from owm_envs.datasets.runs import GENERATION, run_of
 from owm_envs.datasets.schema import CODEBASE_VERSION, OBSERVATION, part_columns
+from owm_envs.files import read_text
 from owm_envs.hub import Repository
 from owm_envs.words import plain
 
@@ -76,9 +78,10 @@ def _finished(folder: Path) -> dict[str, Any]:
     if folder.name.endswith(".partial") or partial.is_dir():
         raise ValueError(f"{folder} is not finished: {again}")
     try:
-        told = json.loads((folder / GENERATION).read_text(encoding="utf-8"))
+        told = json.loads(read_text(folder / GENERATION))
+        Request(**told["request"]), dict(told.get("versions") or {}), run_of(folder)
         finished = isinstance(told["result"], dict)
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError):
         finished = False
     if not finished:
         raise ValueError(f"{folder} is no finished run, for its {GENERATION} tells of no result: {again}")
@@ -96,7 +99,7 @@ def _described(
     from owm_envs.datasets.picture import flights_picture
 
     paths = [path for split in splits for path in _paths(folder / split)]
-    features = json.loads((folder / splits[0] / "meta" / "info.json").read_text(encoding="utf-8"))["features"]
+    features = json.loads(read_text(folder / splits[0] / "meta" / "info.json"))["features"]
     parts = {
         column: SimpleNamespace(shape=tuple(features[column]["shape"]), dtype=features[column]["dtype"])
         for column in part_columns(features)

@@ -30,12 +30,12 @@ def episode_from_published(columns: dict[str, np.ndarray]) -> Episode:
     from owm_envs.task.events import Outcome
 
     vector, truth = columns["observation_vector"], columns["state_vector"]
-    if vector.shape[1] not in (13, 15, 25, 27):
-        raise ValueError(f"observation_vector must have 13, 15, 25 or 27 numbers, got {vector.shape[1]}")
+    if vector.shape[1:] not in ((13,), (15,), (25,), (27,)):
+        raise ValueError(f"observation_vector must have 13, 15, 25 or 27 numbers, got {vector.shape[1:]}")
     has_epoch = vector.shape[1] in (15, 27)
     view = vector[:, 2:15] if has_epoch else vector[:, :13]
-    if truth.shape[1] not in (13, 21):
-        raise ValueError(f"state_vector must have 13 or 21 numbers, got {truth.shape[1]}")
+    if truth.shape[1:] not in ((13,), (21,)):
+        raise ValueError(f"state_vector must have 13 or 21 numbers, got {truth.shape[1:]}")
     rows = len(vector)
     reward = columns["reward"].reshape(rows).astype(np.float32)
     outcome = Outcome.TIMEOUT

@@ -94,8 +94,12 @@ class Dataset(Sequence[Episode]):
             raise ValueError(f"{self.folder} holds no docking episodes: it lacks the columns {needed}; use columns()")
         columns = self.columns(number)
         if self.published:
-            with np.errstate(over="ignore"):
-                return episode_from_published(columns)
+            try:
+                with np.errstate(over="ignore"):
+                    return episode_from_published(columns)
+            except (ValueError, IndexError) as error:
+                path = self.layout.span(number).path
+                raise ValueError(f"{path}: episode {number} is none of those that were published: {error}") from None
         videos = {OBSERVATION + part_of(key): columns.pop(key) for key in self.layout.videos}
         return episode_from_columns(columns | videos)
 

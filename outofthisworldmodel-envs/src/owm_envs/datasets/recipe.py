@@ -3,7 +3,7 @@
 import math
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +15,7 @@ from owm_envs.config import DockingConfig, load_config
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.files import read_text
 from owm_envs.station.ports import TRAIN_PORTS, port_index
-from owm_envs.words import checked_seed, unknown
+from owm_envs.words import checked_count, checked_seed, is_number, short, unknown
 
 SPLITS = ("train", "val")
 BEHAVIOUR_MIX = {"random": 0.30, "orbit": 0.35, "dock": 0.35}
@@ -50,25 +50,34 @@ class Request:
 
     def __post_init__(self):
         for name in ("transitions", "val_transitions", "episodes", "val_episodes", "episodes_per_batch"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int) and value >= 1):
-                raise ValueError(f"{name} must be at least 1, got {value!r}")
+            if (value := getattr(self, name)) is not None:
+                most = 2**16 if name == "episodes_per_batch" else 10**12
+                object.__setattr__(self, name, checked_count(name, value, most))
         for prefix in ("", "val_"):
             given = [name for name in (f"{prefix}transitions", f"{prefix}episodes") if getattr(self, name) is not None]
             if len(given) != 1:
                 raise ValueError(f"exactly one of {prefix}transitions and {prefix}episodes must be given, got {given}")
-        if not 0 <= self.planner_style <= 1:
-            raise ValueError(f"planner_style must be from 0 to 1, got {self.planner_style}")
+        if not (is_number(self.planner_style) and 0 <= self.planner_style <= 1):
+            raise ValueError(f"planner_style must be from 0 to 1, got {short(self.planner_style)}")
         for name in ("policies", "val_policies"):
             shares = getattr(self, name)
-            for policy in shares or ():
+            if shares is None:
+                continue
+            if not isinstance(shares, Mapping):
+                raise ValueError(f"{name} must be a table of shares, got {short(shares)}")
+            for policy in shares:
                 if policy not in POLICY_NAMES:
                     raise ValueError(unknown("policy", policy, POLICY_NAMES))
-            if shares is not None and not (sum(shares.values()) > 0 and min(shares.values()) >= 0):
-                raise ValueError(f"{name} must be shares of at least 0, not all 0, got {dict(shares)}")
+            # None is so small beside another that it would vanish.
+            known = all(is_number(share) and (share == 0 or 1e-6 <= share <= 1e6) for share in shares.values())
+            if not (known and any(shares.values())):
+                allowed = "shares of at least 0, not all 0, the others from 1e-6 to 1e6"
+                raise ValueError(f"{name} must be {allowed}, got {short(dict(shares))}")
         for name in ("ports", "val_ports"):
             ports = getattr(self, name)
             if ports is not None:
+                if isinstance(ports, str) or not isinstance(ports, Sequence):
+                    raise ValueError(f"{name} must be a list of names, got {short(ports)}")
                 if not ports:
                     raise ValueError(f"{name} must name at least one port")
                 for port in ports:
@@ -200,5 +209,7 @@ def load_recipe(source: str | os.PathLike) -> tuple[dict[str, Any], dict[str, An
     for name in values:
         if name not in allowed:
             raise ValueError(f"recipe {text!r}: " + unknown("key", name, [*allowed, "environment"]))
+    if not isinstance(environment, dict):
+        raise ValueError(f"recipe {text!r}: environment must be a table, got {short(environment)}")
     load_config(environment)
     return values, environment

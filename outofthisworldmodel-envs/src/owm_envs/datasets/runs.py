@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.datasets.manifest import MANIFEST, Entry, check_entry, load_manifest
 from owm_envs.datasets.parse import read_json
+from owm_envs.words import short
 
 GENERATION = "generation.json"
 
@@ -74,16 +75,11 @@ def run_of(folder: Path) -> Run:
     generation = read_json(path, "the generation.json of a run")
     result, environment = generation.get("result"), generation.get("environment")
     if not (isinstance(result, dict) and result and all(isinstance(told, dict) for told in result.values())):
-        raise ValueError(f"{path}: result must be the counts of each split, got {_short(result)}")
+        raise ValueError(f"{path}: result must be the counts of each split, got {short(result)}")
     if not isinstance(environment, dict):
-        raise ValueError(f"{path}: environment must be a configuration, got {_short(environment)}")
+        raise ValueError(f"{path}: environment must be a configuration, got {short(environment)}")
     try:
         config = load_config(environment)
     except (ValueError, TypeError, OSError) as error:
         raise ValueError(f"{path}: environment is no configuration: {' '.join(str(error).split())}") from None
     return run._replace(generation=generation, config=config)
-
-
-def _short(value: object) -> str:
-    told = repr(value)
-    return told if len(told) < 60 else told[:57] + "..."

@@ -167,8 +167,8 @@ def _rows(dataset: Dataset, split: str) -> Iterator[Finding]:
 
 def _in_time(dataset: Dataset, number: int) -> None:
     """Time advances, in a dataset of which nothing else is known."""
-    columns = dataset.columns(number)
-    if "timestamp" in columns and not (np.diff(columns["timestamp"].astype(np.float64).reshape(-1)) > 0).all():
+    time = dataset.columns(number).get("timestamp")
+    if time is not None and not (time.dtype.kind in "iuf" and (np.diff(time.astype(float).reshape(-1)) > 0).all()):
         raise ValueError(f"{dataset.layout.span(number).path}: timestamp of episode {number} must advance")
 
 
@@ -310,6 +310,14 @@ def _physics(dataset: Dataset, split: str) -> Iterator[Finding]:
         ]
         most = ", ".join(f"{x:.1e} {unit}" for x, unit in zip(errors.max(axis=0), physics.UNITS))
         yield from _outcome("dynamics", split, wrong, f"off by at most {most}")
+    off = physics.reward_errors(map(dataset.columns, range(len(dataset))), config)
+    wrong = [
+        f"{dataset.layout.span(number).path}: next.reward of episode {number} is not that of its rows, off by "
+        f"{error:.3g} times what is allowed"
+        for number, error in enumerate(off)
+        if not error <= 1
+    ]
+    yield from _outcome("reward", split, wrong, f"that of its rows, off by at most {off.max():.2g} of what is allowed")
     ratio, score = physics.noise_scores(physics.residuals(dataset.columns(i), config) for i in range(len(dataset)))
     least = physics.largest_score(4)
     wrong = [

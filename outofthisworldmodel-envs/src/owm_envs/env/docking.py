@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, PyTree, Shaped
 
 from astrojax.attitude import quat_sign
@@ -279,7 +280,13 @@ class DockingEnv:
         return self.finish(params, state, ended, wrench, touched)
 
     def begin(self, params: Params, state: EnvState, action: Float[Array, "6"]) -> tuple[EnvState, Float[Array, "6"]]:
-        """Before a decision's first simulation step: the state, ended if the action is not finite, and the wrench."""
+        """Before a decision's first simulation step: the state, ended if the action is not finite, and the wrench.
+
+        Raises:
+            TypeError: the action is not of real numbers, when it is traced.
+        """
+        if not any(jax.dtypes.issubdtype(jnp.result_type(action), kind) for kind in (np.floating, np.integer)):
+            raise TypeError(f"action must be real numbers, got {jnp.result_type(action)}")
         params = episode_params(params, state.drawn)
         valid = all_of(jnp.isfinite(action))
         wrench = self.layout.wrench(jnp.where(valid, action, 0).astype(state.view.dtype), params.chaser.wrench_limit)

@@ -112,8 +112,9 @@ class FleetEnv:
         ports = self.config.ports
         if len(set(ports)) < len(ports):
             raise ValueError(f"ports must be distinct for a fleet, got {', '.join(ports)}")
-        if not 1 <= num_chasers <= len(ports):
-            raise ValueError(f"num_chasers must be from 1 to {len(ports)}, the configured ports, got {num_chasers}")
+        whole = hasattr(num_chasers, "__index__") and not isinstance(num_chasers, bool)
+        if not (whole and 1 <= num_chasers <= len(ports)):
+            raise ValueError(f"num_chasers must be from 1 to {len(ports)}, the configured ports, got {num_chasers!r}")
         self.num_chasers = num_chasers
         self.layout = FleetLayout(self.docking.layout, (num_chasers - 1) * observe_others)
         self._axes = _chaser_axes(self.config)

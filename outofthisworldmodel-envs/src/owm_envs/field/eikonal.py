@@ -47,6 +47,14 @@ class FieldConfig:
     """The relaxation stops once eight iterations change no node by more than this [m]."""
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if any(isinstance(n, bool) or not 1e-6 <= n <= 1e4 for n in (value if name == "side_range" else (value,))):
+                raise ValueError(f"{name} must be from 1e-6 to 1e4; got {value}")
+        if self.fine_spacing < 0.1 or self.extent > 500 * self.coarse_spacing:
+            raise ValueError(
+                "fine_spacing must be at least 0.1 m and coarse_spacing a 500th of extent, for their nodes to fit into "
+                f"memory; got {self.fine_spacing}, {self.coarse_spacing} and {self.extent}"
+            )
         ratio = self.coarse_spacing / self.fine_spacing
         if self.fine_spacing <= 0.0 or ratio < 1.0 or not math.isclose(ratio, round(ratio)):
             raise ValueError(

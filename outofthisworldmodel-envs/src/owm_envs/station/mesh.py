@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from owm_envs.files import plain_file
 from owm_envs.station.boxes import Boxes, distance_to, emptiness, grid_around, merge, outer_samples
 from owm_envs.station.geometry import ROUND, rotation
 from owm_envs.station.primitives import MATERIALS, Part
@@ -191,8 +192,10 @@ def load_triangles(path: Path | str, scale: float = 1.0, up: str | None = None) 
         raise ValueError(f"up must be one of {', '.join(UP)}; got {up!r}")
     if not (np.isfinite(scale) and scale > 0.0):
         raise ValueError(f"scale must be a positive number of metres per unit; got {scale}")
-    if not path.is_file():
-        raise ValueError(f"no such mesh: {path}")
+    try:
+        plain_file(path, 2**32)
+    except OSError:
+        raise ValueError(f"no such mesh: {path}") from None
     try:
         declared = _declared(path)
         # Unprocessed: trimesh's cleaning drops triangles, those with NaN among them, without a word.

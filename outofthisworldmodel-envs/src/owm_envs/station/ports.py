@@ -67,11 +67,12 @@ def port_indices(ports: str | int | Sequence[str | int] | np.ndarray, slots: int
         ValueError: a port is unknown, or there are not as many as slots.
     """
     values = np.asarray(ports)
+    truths = isinstance(ports, Sequence) and any(isinstance(port, bool) for port in ports)
     if values.dtype.kind in "UO":
         named = [port_index(name) if isinstance(name, str) else name for name in values.ravel().tolist()]
         values = np.array(named).reshape(values.shape)
     count = len(PORTS)
-    if values.ndim > 1 or values.dtype.kind not in "iu" or (values < 0).any() or (values >= count).any():
+    if truths or values.ndim > 1 or values.dtype.kind not in "iu" or (values < 0).any() or (values >= count).any():
         raise ValueError(
             f"ports must be names or indices from 0 to {count - 1}, one for each slot, got {values.tolist()}"
         )

@@ -14,6 +14,7 @@ from owm.data.windows import STRIDE, Episodes, from_episodes
 from owm_envs.datasets.fetch import local_dataset, origin
 from owm_envs.datasets.reader import open_dataset
 from owm_envs.episode import Episode
+from owm_envs.files import read_text
 from owm_envs.station import PORT_NAMES, TRAIN_PORTS
 
 RATE = 20
@@ -110,6 +111,6 @@ def corpus_facts(path: str | os.PathLike) -> dict[str, Any]:
     folder = local_dataset(path)
     facts = {"name": origin(folder) or folder.name}
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-        environment = json.loads((folder / "generation.json").read_text(encoding="utf-8"))["environment"]
+        environment = json.loads(read_text(folder / "generation.json"))["environment"]
         facts |= {name: environment[name] for name in ("fidelity", "noise", "dt")}
     return facts

@@ -4,20 +4,17 @@ from typing import Annotated, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
-from pydantic import (
-    Field,
-    PositiveFloat,
-    PositiveInt,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_validator, model_validator
 
-from owm_envs.config.parts import Frozen
+from owm_envs.config.parts import Frozen, within
 from owm_envs.words import unknown
 
 Objective = Literal["geodesic", "straight", "plain"]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
+Weight = Annotated[float, within(0, 1e6)]
+Scale = Annotated[float, within(1e-6, 1e6)]
+Sigma = Annotated[float, within(1e-6, 10)]
+Fraction = Annotated[float, within(0, 1)]
+Length = Annotated[int, Field(gt=0, le=10**4)]
 
 
 class Weights(NamedTuple):
@@ -82,67 +79,67 @@ class PlannerConfig(Frozen):
     defaults stay: only the last is faster, and it takes more of the thrust than an off-nominal chaser has to spare.
     """
 
-    candidates: PositiveInt = 128
+    candidates: Annotated[int, Field(gt=0, le=2**20)] = 128
     """K, action sequences a replan; the first is the warm start itself. Source: paper."""
-    horizon: PositiveInt = 64
+    horizon: Length = 64
     """Model steps a candidate looks ahead. Source: paper."""
-    chunk: PositiveInt = 8
+    chunk: Length = 8
     """Steps executed open-loop between replans. Source: paper."""
-    latency: Annotated[int, Field(ge=0)] = 0
+    latency: Annotated[int, Field(ge=0, le=10**4)] = 0
     """Steps from the measurement of a replan to the first action planned from it, less than `chunk`: those before it
     were planned at the last replan, or are zero. With it a flight may take that long to compute a plan."""
-    temperature: PositiveFloat = 0.3
+    temperature: Scale = 0.3
     """lambda of the softmax over candidates, in units of the cost. Source: paper."""
-    knots: Annotated[int, Field(ge=2)] = 9
+    knots: Annotated[int, Field(ge=2, le=10**4)] = 9
     """Independent draws along the horizon, joined linearly. Prototype: 4 to 17 make no difference."""
-    force_sigma: PositiveFloat = 0.20
+    force_sigma: Sigma = 0.20
     """Noise, fraction of the force limit. Prototype: 0.5 with torque 0.3 never docks."""
-    torque_sigma: PositiveFloat = 0.05
+    torque_sigma: Sigma = 0.05
     """Noise, fraction of the torque limit. Prototype."""
-    sigma_near: PositiveFloat = 0.5
+    sigma_near: Sigma = 0.5
     """Both are scaled by min(1, sigma_near + (1 - sigma_near) d / sigma_distance), d to the goal."""
-    sigma_distance: PositiveFloat = 10.0
+    sigma_distance: Scale = 10.0
     """m. Prototype."""
 
     objective: Objective = "geodesic"
     """"geodesic": distance and speed profile along the geodesic field; "straight": the same along the
     straight line; "plain": quadratic in all four errors to the goal, no profile."""
-    position: NonNegative = 0.9
+    position: Weight = 0.9
     """Weight of the (geodesic) distance, 1/m; 1/m2 when plain. Prototype, as all weights."""
-    position_knee: PositiveFloat = 0.1
+    position_knee: Scale = 0.1
     """m; the distance is quadratic below it."""
-    velocity: NonNegative = 3.0
+    velocity: Weight = 3.0
     """Weight of the squared velocity error to the profile, s2/m2."""
-    attitude: NonNegative = 6.0
+    attitude: Weight = 6.0
     """Weight of the angle to the goal attitude, 1/rad; 1/rad2 when plain."""
-    rate: NonNegative = 900.0
+    rate: Weight = 900.0
     """Weight of the squared rate error to the profile, s2/rad2."""
-    effort: NonNegative = 0.03
+    effort: Weight = 0.03
     """Weight of the squared wrench in fractions of the limits."""
-    clearance: NonNegative = 30.0
+    clearance: Weight = 30.0
     """Weight of the squared shortfall of hull clearance below `margin`, 1/m2."""
-    margin: NonNegative = 1.0
+    margin: Weight = 1.0
     """m, between bounding sphere and hull."""
-    collision: NonNegative = 1000.0
+    collision: Weight = 1000.0
     """Cost of touching the hull, times one plus the fraction of the horizon that remains; with 0 and
     clearance 0 the planner is blind to the hull."""
-    top_speed: PositiveFloat = 4.0
+    top_speed: Scale = 4.0
     """m/s; the wanted speed is the least of this and the next three. Prototype, as all of the profile."""
-    braking: PositiveFloat = 0.08
+    braking: Scale = 0.08
     """m/s2: sqrt(braking * distance), about two thirds of what the thrusters give (0.133 m/s2 an axis)."""
-    closing_time: PositiveFloat = 4.0
+    closing_time: Scale = 4.0
     """s: distance / closing_time."""
-    crawl: PositiveFloat = 0.4
+    crawl: Scale = 0.4
     """m/s: crawl + crawl_per_clearance * clearance."""
-    crawl_per_clearance: NonNegative = 0.25
+    crawl_per_clearance: Weight = 0.25
     """1/s."""
-    top_rate: PositiveFloat = 0.05
+    top_rate: Scale = 0.05
     """rad/s; the wanted rate is the least of this, sqrt(rate_braking * angle) and angle / turning_time."""
-    rate_braking: PositiveFloat = 0.02
+    rate_braking: Scale = 0.02
     """rad/s2."""
-    turning_time: PositiveFloat = 5.0
+    turning_time: Scale = 5.0
     """s."""
-    stopping: NonNegative = 10.0
+    stopping: Weight = 10.0
     """Weight of the squared speed at the horizon's end beyond what can be braked to rest over the distance that is left
     then, by the acceleration that the model gives the thrusters in any direction, s2/m2; not when plain. On the train
     ports, from other seeds, with 70 % thrust to brake with and a model fitted in flight, it raised the least clearance

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -27,6 +27,9 @@ PLANNERS: dict[str, dict[str, Any]] = {
 """Variants of the planner: what differs from the standard `PlannerConfig`."""
 
 
+Count = Annotated[int, Field(ge=1, le=10**6)]
+
+
 class Study(Frozen):
     """One question: every policy with every planner variant under every condition."""
 
@@ -39,11 +42,11 @@ class Study(Frozen):
     """Keys of `PLANNERS`; policies that plan with no model have none."""
     conditions: tuple[str, ...] = ("nominal",)
     """Keys of `CONDITIONS`."""
-    flights: int | None = None
+    flights: Count | None = None
     """To each port; the matrix's when None."""
-    fewer: dict[str, int] = Field(default_factory=dict)
+    fewer: dict[str, Count] = Field(default_factory=dict)
     """Flights to each port of single rows, by "policy", "planner" or "policy, planner": the least that applies."""
-    seeds: int | None = None
+    seeds: Count | None = None
     """Trained seeds to fly of policies that have several; all when None."""
     against: tuple[str, ...] = ()
     """Policies to compare every other with, start by start."""
@@ -69,7 +72,7 @@ class Matrix(Frozen):
     title: str = "Docking at the ISS: evaluation"
     seed: int = 0
     """Decides starts and the policies' own draws."""
-    flights: int = 50
+    flights: Count = 50
     """To each port."""
     ports: tuple[str, ...] = PORT_NAMES
     policies: dict[str, str | tuple[str, ...]]

@@ -4,22 +4,19 @@ import math
 from functools import partial
 from typing import Annotated, Literal
 
-from pydantic import (
-    Field,
-    NonNegativeFloat,
-    NonNegativeInt,
-    PositiveFloat,
-    PositiveInt,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_validator, model_validator
 
 from owm.model.config import PRESETS as MODELS
 from owm.model.config import ModelConfig
-from owm_envs.config.parts import Frozen
+from owm_envs.config.parts import Frozen, within
 from owm_envs.words import checked_seed
 
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+Fraction = Annotated[float, within(0, 1)]
+Weight = Annotated[float, within(0, 1e6)]
+Size = Annotated[int, Field(gt=0, le=10**6)]
+Steps = Annotated[int, Field(gt=0, le=10**9)]
+Rollout = Annotated[int, Field(gt=0, le=10**4)]
+"""Steps of a rollout: a training step goes through each."""
 
 
 class TrainConfig(Frozen):
@@ -27,47 +24,47 @@ class TrainConfig(Frozen):
 
     model: ModelConfig = ModelConfig()
     """The network to train."""
-    steps: PositiveInt = 3000
+    steps: Steps = 3000
     """Optimisation steps."""
-    epochs: PositiveFloat | None = None
+    epochs: Annotated[float, within(1e-3, 1e6)] | None = None
     """Where given, in place of `steps`: passes over as many windows as the training episodes hold."""
-    batch: PositiveInt | Literal["auto"] = 32
+    batch: Size | Literal["auto"] = 32
     """Windows a step; "auto" is the largest power of two whose step fits into `memory_gb`, found before training."""
-    memory_gb: PositiveFloat | None = None
+    memory_gb: Annotated[float, within(1e-3, 1e6)] | None = None
     """What a step of batch="auto" may take; None is nine tenths of the device's memory, where it tells how much."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of the network's forward and backward pass; weights, statistics, kinematics and losses are float32."""
-    devices: PositiveInt | None = None
+    devices: Size | None = None
     """Local devices that share each batch; None is all of them."""
-    learning_rate: PositiveFloat = 1e-3
+    learning_rate: Annotated[float, within(1e-12, 10)] = 1e-3
     """Peak of AdamW's rate; it rises linearly over `warmup` steps, then falls along a cosine to a hundredth."""
-    warmup: PositiveInt = 300
+    warmup: Steps = 300
     """Steps of linear warm-up."""
-    weight_decay: NonNegativeFloat = 1e-4
+    weight_decay: Annotated[float, within(0, 10)] = 1e-4
     """AdamW's decay."""
-    clip: PositiveFloat = 1.0
+    clip: Annotated[float, within(1e-6, 1e6)] = 1.0
     """Largest gradient norm."""
     teacher: Fraction = 0.25
     """Fraction of the run over which the probability of continuing from the measurement falls from one to zero."""
-    teacher_epochs: NonNegativeFloat | None = None
+    teacher_epochs: Annotated[float, within(0, 1e6)] | None = None
     """Where given, in place of `teacher`: the same in epochs."""
-    rollouts: tuple[tuple[Fraction, PositiveInt], ...] = ((0.6, 16), (1.0, 32))
+    rollouts: tuple[tuple[Fraction, Rollout], ...] = ((0.6, 16), (1.0, 32))
     """Rollout lengths `F`, each up to a fraction of the run; a jump by more than a factor of two destabilises."""
-    flow_weight: NonNegativeFloat = 1.0
+    flow_weight: Weight = 1.0
     """Weight of the flow loss."""
-    decode_weight: NonNegativeFloat = 1.0
+    decode_weight: Weight = 1.0
     """Weight of the decode loss."""
-    round_trip_weight: NonNegativeFloat = 1.0
+    round_trip_weight: Weight = 1.0
     """Weight of the round-trip loss."""
-    chunk: PositiveInt = 50
+    chunk: Size = 50
     """Steps a compiled call makes, between which progress is reported."""
-    save_every: PositiveInt = 500
+    save_every: Steps = 500
     """Steps between saves and validations, a multiple of `chunk`."""
-    validation_windows: PositiveInt = 256
+    validation_windows: Size = 256
     """Fixed windows of each kind, behaviour and planner-style, that choose the best weights."""
-    validation_horizon: PositiveInt = 64
+    validation_horizon: Rollout = 64
     """Steps of every validation rollout."""
-    keep_checkpoints: NonNegativeInt = 20
+    keep_checkpoints: Annotated[int, Field(ge=0, le=10**6)] = 20
     """Latest saves whose weights stay under `checkpoints`, to be compared."""
     seed: int = 0
     """Of weights, batches, noise and the choice of validation windows."""

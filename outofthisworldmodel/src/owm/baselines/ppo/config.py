@@ -3,12 +3,14 @@
 from functools import partial
 from typing import Annotated, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from owm_envs.config.parts import Frozen
+from owm_envs.config.parts import Frozen, within
 from owm_envs.words import checked_seed
 
-Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
+Fraction = Annotated[float, within(1e-6, 1)]
+Weight = Annotated[float, within(0, 1e6)]
+Size = Annotated[int, Field(gt=0, le=10**6)]
 
 
 class PPOConfig(Frozen):
@@ -20,37 +22,37 @@ class PPOConfig(Frozen):
     """Preset of sensor noise; the paper trains one policy for each."""
     observe_field: bool = False
     """Also observe the geodesic field at the measured position: its gradient and the cost-to-go. Not in the paper."""
-    steps: PositiveInt = 25_000_000
+    steps: Annotated[int, Field(gt=0, le=10**12)] = 25_000_000
     """Decisions, of 1 s each, of all environments together."""
-    envs: PositiveInt = 32
+    envs: Annotated[int, Field(gt=0, le=2**16)] = 32
     """Environments side by side."""
-    learning_rate: PositiveFloat = 2.2e-4
+    learning_rate: Annotated[float, within(1e-12, 10)] = 2.2e-4
     """Adam's, constant."""
     gamma: Fraction = 0.997
     """Discount."""
-    network: tuple[PositiveInt, ...] = (256, 256, 256)
+    network: tuple[Annotated[int, Field(gt=0, le=2**14)], ...] = (256, 256, 256)
     """Hidden widths of the actor, and of the critic beside it; tanh between."""
-    batch: PositiveInt = 1024
+    batch: Annotated[int, Field(gt=0, le=10**9)] = 1024
     """Transitions a gradient step."""
-    rollout: PositiveInt = 1024
+    rollout: Size = 1024
     """Decisions of each environment between updates."""
     gae_lambda: Fraction = 0.945
     """Of the advantage estimate."""
-    clip: PositiveFloat = 0.1
+    clip: Annotated[float, within(1e-6, 1e3)] = 0.1
     """Range of the probability ratio."""
-    epochs: PositiveInt = 20
+    epochs: Size = 20
     """Passes over a rollout."""
-    value_weight: NonNegativeFloat = 0.67
+    value_weight: Weight = 0.67
     """Weight of the value loss."""
-    entropy_weight: NonNegativeFloat = 1e-3
+    entropy_weight: Weight = 1e-3
     """Weight of the entropy bonus."""
-    target_kl: PositiveFloat = 0.02
+    target_kl: Annotated[float, within(1e-6, 1e6)] = 0.02
     """An update ends early beyond one and a half times this divergence."""
     normalize_reward: bool = True
     """Divide rewards by the running deviation of the discounted return; the paper does not say."""
-    validate_every: PositiveInt = 10
+    validate_every: Size = 10
     """Rollouts between saves and validations."""
-    validation_episodes: PositiveInt = 20
+    validation_episodes: Size = 20
     """Fixed starts, spread over the train ports, that choose the best policy."""
     seed: int = 0
     """Of weights, exploration and starts."""
