@@ -67,7 +67,7 @@ def test_a_sample_of_the_campaign(kind, whole, tmp_path):
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e38])
 def test_numbers_that_mean_nothing_are_not_written(kind, bad, whole, tmp_path):
     model = load_world_model(whole[kind])
-    broken = replace(model, params=jax.tree.map(lambda leaf: leaf * bad, model.params))
+    broken = replace(model, params=jax.tree.map(lambda leaf: np.asarray(leaf) * np.float32(bad), model.params))
     with pytest.raises(CheckpointError, match=r"numbers that are not (finite|between)"):
         save_world_model(broken, tmp_path / "broken")
     with pytest.raises(CheckpointError, match=r"mean holds .* numbers that are not"):
