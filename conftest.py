@@ -49,6 +49,22 @@ def jax_flags():
 
 
 @pytest.fixture
+def said_by(capsys):
+    """Runs a command; gives its exit code, and what it printed or the line that says why not."""
+
+    def run(main, *arguments):
+        code = 0
+        try:
+            main([str(argument) for argument in arguments])
+        except SystemExit as stop:
+            code = stop.code
+        said = capsys.readouterr()
+        return code, said.out.strip() if code == 0 else said.err.splitlines()[-1]
+
+    return run
+
+
+@pytest.fixture
 def local_hub(tmp_path, monkeypatch):
     """A hub on this machine, which the real client takes for the hub; its cache is the test's own."""
     constants = pytest.importorskip("huggingface_hub.constants")

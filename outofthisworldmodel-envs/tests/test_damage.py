@@ -3,11 +3,11 @@
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from damaged import DAMAGES, DATA, EPISODES, at, in_rows, rewrite, told
 
 from owm_envs import datasets
 from owm_envs.cli import main
@@ -15,10 +15,6 @@ from owm_envs.config import load_config
 from owm_envs.datasets.generate import Request, generate
 from owm_envs.datasets.manifest import MANIFEST, differences, load_manifest, write_manifest
 from owm_envs.datasets.verify import verify
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from damaged import DAMAGES, DATA, EPISODES, at, in_rows, rewrite, told
 
 CONFIG = load_config(fidelity="iss", noise="cooperative", horizon=2.0, ports=["zvezda_aft", "pirs_nadir"])
 

@@ -42,17 +42,6 @@ def pushed(run, name="user/set", **how):
     return [hub.push(repository) for repository in repositories(run, name, **how)]
 
 
-def command(capsys, *arguments):
-    """Run `owm-envs`; return its exit code, and what it printed or the line that says why not."""
-    try:
-        main([str(argument) for argument in arguments])
-        code = 0
-    except SystemExit as stop:
-        code = stop.code
-    said = capsys.readouterr()
-    return code, said.out.strip() if code == 0 else said.err.splitlines()[-1]
-
-
 def assert_same_episodes(one, other):
     for split in ("train", "val"):
         for a, b in zip(datasets.read(one, split), datasets.read(other, split), strict=True):
@@ -60,15 +49,15 @@ def assert_same_episodes(one, other):
             np.testing.assert_array_equal(a.action, b.action)
 
 
-def test_a_run_comes_back_as_it_was(local_hub, run, tmp_path, capsys):
-    code, said = command(capsys, "push", run, "user/set")
+def test_a_run_comes_back_as_it_was(local_hub, run, tmp_path, said_by):
+    code, said = said_by(main, "push", run, "user/set")
     assert code == 0
     train, val = (local_hub.repos["dataset", f"user/set-{split}"] for split in ("train", "val"))
     assert [line.split(": ")[0].rpartition("/")[2] for line in said.splitlines()] == [train.head, val.head]
     for repo in (train, val):
         assert repo.tags == {"v3.0": repo.head}, "LeRobot looks for the tag"
         assert {"meta/info.json", DATA, "README.md", "config.toml", "generation.json"} <= set(repo.commits[repo.head])
-    code, said = command(capsys, "download", "user/set", "--out", tmp_path / "back")
+    code, said = said_by(main, "download", "user/set", "--out", tmp_path / "back")
     assert code == 0, said
     assert train.head in said and val.head in said
     check_manifest(tmp_path / "back")
@@ -108,8 +97,8 @@ def test_together_both_splits_are_in_one_repository(local_hub, run, tmp_path):
     check_manifest(tmp_path / "back")
 
 
-def test_a_dry_run_asks_nothing_of_the_hub(local_hub, run, capsys):
-    code, said = command(capsys, "push", run, "user/set", "--dry-run")
+def test_a_dry_run_asks_nothing_of_the_hub(local_hub, run, said_by):
+    code, said = said_by(main, "push", run, "user/set", "--dry-run")
     assert code == 0 and local_hub.asked == []
     heads = [line for line in said.splitlines() if not line.startswith(" ")]
     assert [head.split(":")[0] for head in heads] == [
@@ -131,9 +120,9 @@ def test_a_dry_run_asks_nothing_of_the_hub(local_hub, run, capsys):
         (lambda run: (run / "train" / "link").symlink_to("/etc/hostname"), "link is no plain file"),
     ],
 )
-def test_an_unfinished_or_unverified_run_is_refused_in_a_line(local_hub, run, capsys, spoil, told):
+def test_an_unfinished_or_unverified_run_is_refused_in_a_line(local_hub, run, said_by, spoil, told):
     spoil(run)
-    code, said = command(capsys, "push", run, "user/set")
+    code, said = said_by(main, "push", run, "user/set")
     assert code == 2 and told in said
     assert local_hub.asked == []
 
@@ -148,16 +137,16 @@ def test_a_dropped_connection_is_resumed(local_hub, run, tmp_path, large):
     assert local_hub.faults[0].times == 0, "it did break"
 
 
-def test_a_wrong_hash_names_the_file_and_the_same_call_fetches_it_again(local_hub, run, tmp_path, capsys):
+def test_a_wrong_hash_names_the_file_and_the_same_call_fetches_it_again(local_hub, run, tmp_path, said_by):
     pushed(run, together=True)
     local_hub.faults.append(Fault(f"train/{DATA}", "wrong"))
     arguments = ("download", "user/set", "--out", tmp_path / "back")
-    code, said = command(capsys, *arguments)
+    code, said = said_by(main, *arguments)
     assert code == 2 and f"does not give train/{DATA} with the hash that it lists" in said
     assert not (tmp_path / "back").exists()
     local_hub.faults.clear()
     local_hub.asked.clear()
-    assert command(capsys, *arguments)[0] == 0
+    assert said_by(main, *arguments)[0] == 0
     assert local_hub.fetched() == [f"train/{DATA}"], "the others were there"
 
 
@@ -182,10 +171,10 @@ def test_what_differs_from_its_own_manifest_is_refused(local_hub, run, tmp_path)
 
 
 @pytest.mark.parametrize("path", ["../evil.txt", "/etc/evil", "a\\..\\evil", "train/../../evil"])
-def test_a_path_that_leads_out_of_the_folder_is_refused(local_hub, run, tmp_path, capsys, path):
+def test_a_path_that_leads_out_of_the_folder_is_refused(local_hub, run, tmp_path, said_by, path):
     pushed(run, together=True)
     local_hub.hidden.append(path)
-    code, said = command(capsys, "download", "user/set", "--out", tmp_path / "back")
+    code, said = said_by(main, "download", "user/set", "--out", tmp_path / "back")
     assert code == 2 and "may lead out of its folder: refused" in said
     assert not any("/resolve/" in line for line in local_hub.asked)
 
@@ -201,22 +190,22 @@ def test_a_path_that_leads_out_of_the_folder_is_refused(local_hub, run, tmp_path
         (Fault("", 503), "cannot be reached: it answers 503, and the cache does not hold it at v9"),
     ],
 )
-def test_a_refusal_is_told_in_a_line(local_hub, tmp_path, capsys, fault, told):
+def test_a_refusal_is_told_in_a_line(local_hub, tmp_path, said_by, fault, told):
     local_hub.faults.append(fault)
-    code, said = command(capsys, "download", "user/set", "--revision", "v9", "--out", tmp_path / "back")
+    code, said = said_by(main, "download", "user/set", "--revision", "v9", "--out", tmp_path / "back")
     assert code == 2 and told in said
 
 
-def test_a_push_needs_a_token_and_never_shows_it(local_hub, run, monkeypatch, capsys):
+def test_a_push_needs_a_token_and_never_shows_it(local_hub, run, monkeypatch, said_by):
     local_hub.closed = True
-    code, said = command(capsys, "push", run, "user/set")
+    code, said = said_by(main, "push", run, "user/set")
     assert code == 2 and "log in with `hf auth login`" in said
     monkeypatch.setenv("HF_TOKEN", TOKEN)
-    code, said = command(capsys, "push", run, "user/set", "--private")
+    code, said = said_by(main, "push", run, "user/set", "--private")
     assert code == 0 and TOKEN not in said
     assert local_hub.repos["dataset", "user/set-train"].private
     local_hub.repos["dataset", "user/set-train"].private = False
-    code, said = command(capsys, "push", run, "user/set", "--private")
+    code, said = said_by(main, "push", run, "user/set", "--private")
     assert code == 2 and "shows it to everybody already" in said
 
 

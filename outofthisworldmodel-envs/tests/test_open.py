@@ -5,10 +5,10 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot_sets import CAMERA, HEIGHT, WIDTH, add_video, columns, flat_frames, save_video, write_v2, write_v3
 
 from owm_envs import datasets
 from owm_envs.config import load_config
@@ -17,10 +17,6 @@ from owm_envs.datasets.frames import Clip, Frames
 from owm_envs.datasets.generate import Request, generate
 from owm_envs.datasets.verify import verify
 from owm_envs.datasets.windows import grid, mean_actions
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from lerobot_sets import CAMERA, HEIGHT, WIDTH, add_video, columns, flat_frames, save_video, write_v2, write_v3
 
 LENGTHS = [7, 23, 12]
 

@@ -2,8 +2,6 @@
 
 import json
 import pickle
-import sys
-from pathlib import Path
 
 import gymnasium
 import jax
@@ -11,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from small_sensors import CONFIG, LIMIT, PARTS, SENSORS, Patch, RangeFinder
 
 from owm_envs import datasets
 from owm_envs.config import load_config
@@ -20,10 +19,6 @@ from owm_envs.pettingzoo import parallel_env
 from owm_envs.policies import VectorPolicy, make_policy
 from owm_envs.rollout import episodes, rollout
 from owm_envs.view import View
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from small_sensors import CONFIG, LIMIT, PARTS, SENSORS, Patch, RangeFinder
 
 
 def make(**kwargs):

@@ -1,24 +1,18 @@
 """The equations of motion against each other, against independent propagations and against what nature conserves."""
 
-import sys
 from functools import partial
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import reference_orbit as reference
 
 from astrojax.eclipse import illumination_conical
 from astrojax.ephemeris import sun_position
 from owm_envs.env import DockingEnv
 from owm_envs.task.reset import sample_start
 from owm_envs.view import View
-
-# Tests are imported by path, not from a package, so their common helper has to be made findable.
-sys.path.insert(0, str(Path(__file__).parent))
-
-import reference_orbit as reference
 
 SEGMENTS = 12
 HORIZON = 360.0

@@ -46,17 +46,6 @@ def serve(local_hub):
     return publish
 
 
-def told(capsys, *arguments):
-    """Run `owm`; return its exit code, and what it printed or the line that says why not."""
-    try:
-        main([str(argument) for argument in arguments])
-        code = 0
-    except SystemExit as stop:
-        code = stop.code
-    said = capsys.readouterr()
-    return code, said.out.strip() if code == 0 else said.err.splitlines()[-1]
-
-
 def test_a_model_comes_by_id_and_nothing_but_its_files(serve, published):
     server, commit = serve(published)
     model, local = load_world_model("user/model"), load_world_model(published)
@@ -98,15 +87,15 @@ def test_a_hub_that_cannot_be_reached_is_told_with_both_readings(local_hub, monk
         assert str(error.value) == told
 
 
-def test_a_checkpoint_goes_there_and_back(local_hub, published, tmp_path, capsys):
-    code, said = told(capsys, "push", published, "user/model", "--dry-run")
+def test_a_checkpoint_goes_there_and_back(local_hub, published, tmp_path, said_by):
+    code, said = said_by(main, "push", published, "user/model", "--dry-run")
     assert code == 0 and said.startswith("user/model (model): 4 files") and local_hub.asked == []
-    code, said = told(capsys, "push", published, "user/model")
+    code, said = said_by(main, "push", published, "user/model")
     repo = local_hub.repos["model", "user/model"]
     assert code == 0 and said == f"{local_hub.address}/user/model/tree/{repo.head}: 4 files sent"
     assert set(repo.commits[repo.head]) == {*FILES, CARD, ".gitattributes"}
-    assert told(capsys, "push", published, "user/model")[1].endswith("nothing new to send")
-    code, said = told(capsys, "download", "user/model", "--out", tmp_path / "back")
+    assert said_by(main, "push", published, "user/model")[1].endswith("nothing new to send")
+    code, said = said_by(main, "download", "user/model", "--out", tmp_path / "back")
     assert code == 0 and said.endswith(f"user/model at {repo.head}")
     for name in FILES:
         assert (tmp_path / "back" / name).read_bytes() == (published / name).read_bytes()
@@ -114,7 +103,7 @@ def test_a_checkpoint_goes_there_and_back(local_hub, published, tmp_path, capsys
     (published / "pickled.pkl").unlink()
     assert content_digest(str(tmp_path / "back")) == content_digest("user/model") == content_digest(str(published))
     repo.add({})
-    code, said = told(capsys, "download", "user/model", "--out", tmp_path / "back")
+    code, said = said_by(main, "download", "user/model", "--out", tmp_path / "back")
     assert code == 2 and "no checkpoint" in said
     with pytest.raises(FolderTaken):
         download(f"user/model@{list(repo.commits)[1]}", published)
@@ -145,22 +134,22 @@ def test_the_card_says_what_the_checkpoint_says(published):
         assert words in card.text
 
 
-def test_a_policy_is_pushed_alike_and_a_run_without_a_model_is_refused(local_hub, tmp_path, capsys):
+def test_a_policy_is_pushed_alike_and_a_run_without_a_model_is_refused(local_hub, tmp_path, said_by):
     observed = Observed(env="iss", observe_field=False, observation=["x", "y"])
     weights = {"mean": np.zeros(2), "variance": np.ones(2), "weight.0": np.zeros((6, 2)), "bias.0": np.zeros(6)}
     save_policy(tmp_path / "ppo" / "policy", weights, observed, {})
-    assert told(capsys, "push", tmp_path / "ppo", "user/policy")[0] == 0
+    assert said_by(main, "push", tmp_path / "ppo", "user/policy")[0] == 0
     assert kind_of("user/policy") == "ppo"
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "run.json").write_text("{}")
-    code, said = told(capsys, "push", tmp_path / "run", "user/model")
+    code, said = said_by(main, "push", tmp_path / "run", "user/model")
     assert code == 2 and "has no model yet: the same `owm train` again finishes it" in said
 
 
-def test_a_refusal_is_told_in_a_line(local_hub, published, tmp_path, capsys):
+def test_a_refusal_is_told_in_a_line(local_hub, published, tmp_path, said_by):
     local_hub.faults.append(Fault("", 401))
     for arguments in (("push", published, "user/model"), ("download", "user/model", "--out", tmp_path / "back")):
-        code, said = told(capsys, *arguments)
+        code, said = said_by(main, *arguments)
         assert code == 2 and "log in with `hf auth login`" in said
 
 

@@ -153,8 +153,8 @@ def generate(
     try:
         lock.acquire()
         remove(partial / _SPILL)  # what a killed run left there is of no use
-        recorder = _Recorder(config, request, sensors, parts, videos, partial, shard, announce, progress)
-        numbers = {name: recorder.record(split) for name, split in plan.items()}
+        flyer = _Flyer(config, request, sensors, parts, videos, partial, shard, announce, progress)
+        numbers = {name: flyer.record(split) for name, split in plan.items()}
         if shard is None:
             summary = _assemble(partial, numbers, 1 / config.decision_dt, parts, announce)
             texts = {"config.toml": config.to_toml(), "README.md": _card(config, request, summary, parts, settings)}
@@ -268,7 +268,7 @@ def _is_video(name: str, part: Any) -> bool:
     return any(feature.is_video for feature in features_of({name: part}).values())
 
 
-class _Recorder:
+class _Flyer:
     """Flies batches of the planned flights; the simulator is built and compiled at the first one needed."""
 
     def __init__(

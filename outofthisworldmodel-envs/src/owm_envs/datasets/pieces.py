@@ -14,7 +14,7 @@ from jaxtyping import Int, UInt8
 
 from owm_envs.datasets.schema import columns_from_episode
 from owm_envs.episode import Episode
-from owm_envs.files import settle, write_atomically
+from owm_envs.files import fingerprint, settle, write_atomically
 from owm_envs.video import VideoWriter
 
 
@@ -70,7 +70,7 @@ class Pieces:
             return False
         try:
             _, about = self._read(number)
-            return {part: _film_digest(self.film(number, part)) for part in about["films"]} == about["digests"]
+            return {part: fingerprint(self.film(number, part)) for part in about["films"]} == about["digests"]
         except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
             return False
 
@@ -85,7 +85,7 @@ class Pieces:
             "port": episode.port,
             "shapes": {name: values.shape[1:] for name, values in columns.items()},
             "films": {part: film.histogram.tolist() for part, film in films.items()},
-            "digests": {part: _film_digest(film.path) for part, film in films.items()},
+            "digests": {part: fingerprint(film.path) for part, film in films.items()},
         }
         about["sha256"] = _digest(about, columns)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -165,11 +165,6 @@ def _digest(about: dict[str, Any], columns: dict[str, np.ndarray]) -> str:
     for name, values in columns.items():
         sha.update(name.encode() + np.ascontiguousarray(values).tobytes())
     return sha.hexdigest()
-
-
-def _film_digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def arrow(values: np.ndarray) -> pa.Array:
