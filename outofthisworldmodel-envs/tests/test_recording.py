@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from filelock import FileLock
 from seeing import CONFIG, REQUEST
 
 from owm_envs.claims import Claim
@@ -221,12 +220,11 @@ def test_a_marker_that_was_damaged_is_told_with_what_to_do(tmp_path):
 
 
 def test_a_second_writer_is_refused(tmp_path):
-    partial = tmp_path / "set.partial"
-    Claim(partial, settings_of(CONFIG, REQUEST), GENERATION).note()
     with (
-        FileLock(partial / ".lock"),
-        pytest.raises(FolderTaken, match=r"is recording into .*set\.partial"),
+        Claim(tmp_path / "set.partial", settings_of(CONFIG, REQUEST), GENERATION) as first,
+        pytest.raises(FolderTaken, match=r"another process is at work in .*set\.partial"),
     ):
+        first.note()
         generate(tmp_path / "set", CONFIG, REQUEST)
 
 

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from filelock import FileLock, Timeout
 
 from owm_envs.claims import Claim
 from owm_envs.config import DockingConfig
@@ -29,7 +28,7 @@ from owm_envs.datasets.versions import versions
 from owm_envs.datasets.writer import Written, write_meta, write_split
 from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.files import (
-    FolderTaken,
+    LOCK,
     check_free,
     output_folder,
     publish,
@@ -51,7 +50,7 @@ BYTES_PER_TRANSITION = 600
 """Upper estimate of a transition on disk without pixels while it is a piece and in its dataset, measured."""
 _CHUNK_BYTES = 2**26
 """Of pixels and the like that a chunk of a rollout may hold; three of them are in memory at a time."""
-PIECES, _SPILL, _LOCK = "pieces", "spill", ".lock"
+PIECES, _SPILL = "pieces", "spill"
 _ASIDE = (PIECES, _SPILL)
 """Folders of what only the recording needs."""
 
@@ -147,36 +146,28 @@ def generate(
     _check_space(partial, config, plan, parts)
     if claim.found:
         announce(f"resuming {partial}")
-    claim.note()
-    # Held until this process ends, however it ends.
-    lock = FileLock(partial / _LOCK, timeout=0)
     try:
-        lock.acquire()
-        remove(partial / _SPILL)  # what a killed run left there is of no use
-        flyer = _Flyer(config, request, sensors, parts, videos, partial, shard, announce, progress)
-        numbers = {name: flyer.record(split) for name, split in plan.items()}
-        if shard is None:
-            summary = _assemble(partial, numbers, 1 / config.decision_dt, parts, announce)
-            texts = {"config.toml": config.to_toml(), "README.md": _card(config, request, summary, parts, settings)}
-            for name, text in texts.items():
-                write_atomically(partial / name, lambda file, text=text: file.write(text), text=True)
-        else:
-            summary = {name: {"episodes": len(own)} for name, own in numbers.items()}
-        claim.note(policies=list(POLICY_NAMES), versions=versions(), result=summary)
-        if shard is None:
-            write_manifest(partial, _ASIDE)  # the seal: without it the files are made again
-    except Timeout:
-        raise FolderTaken(
-            f"another process is recording into {partial}: wait for it, or choose another folder"
-        ) from None
+        with claim:
+            claim.note()
+            remove(partial / _SPILL)  # what a killed run left there is of no use
+            flyer = _Flyer(config, request, sensors, parts, videos, partial, shard, announce, progress)
+            numbers = {name: flyer.record(split) for name, split in plan.items()}
+            if shard is None:
+                summary = _assemble(partial, numbers, 1 / config.decision_dt, parts, announce)
+                texts = {"config.toml": config.to_toml(), "README.md": _card(config, request, summary, parts, settings)}
+                for name, text in texts.items():
+                    write_atomically(partial / name, lambda file, text=text: file.write(text), text=True)
+            else:
+                summary = {name: {"episodes": len(own)} for name, own in numbers.items()}
+            claim.note(policies=list(POLICY_NAMES), versions=versions(), result=summary)
+            if shard is None:
+                write_manifest(partial, _ASIDE)  # the seal: without it the files are made again
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise OSError(
                 errno.ENOSPC, f"the disk is full; free some space and run the same again to go on from {partial}"
             ) from None
         raise
-    finally:
-        lock.release()
     _finish(partial, out, shard)
     return summary
 
@@ -184,7 +175,7 @@ def generate(
 def _finish(partial: Path, out: Path, shard: Shard | None) -> None:
     """Clear away what only the recording needed, and publish; killed, it is done again."""
     if not published(partial):
-        for name in (_SPILL, _LOCK, *([PIECES] if shard is None else [])):
+        for name in (_SPILL, LOCK, *([PIECES] if shard is None else [])):
             remove(partial / name)
     publish(partial, out)
 
