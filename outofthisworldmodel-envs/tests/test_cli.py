@@ -46,12 +46,12 @@ def test_config_validate_accepts_a_good_file(capsys, tmp_path):
     assert run("config", "validate", str(file)) == 0
     told = capsys.readouterr().out
     assert "valid" in told and "chaser" not in told
-    assert "noise.position = 0.05, not 0.0 (m, >= 0)" in told
+    assert "noise.position = 0.05, not 0.0 (m, >= 0, <= 1000000)" in told
 
 
 def test_config_show_tells_units_and_schema_is_json(capsys):
     assert run("config", "show") == 0
-    assert "mass = 12000.0  # kg, > 0" in capsys.readouterr().out
+    assert "mass = 12000.0  # kg, >= 1, <= 10000000" in capsys.readouterr().out
     assert run("config", "schema") == 0
     assert json.loads(capsys.readouterr().out)["properties"]["dt"]["unit"] == "s"
 
