@@ -108,4 +108,4 @@ def test_without_matplotlib_the_extra_is_named(folder, capsys, monkeypatch):
         monkeypatch.delitem(sys.modules, name, raising=False)
     with pytest.raises(SystemExit):
         cli.main(["plot", str(folder)])
-    assert "outofthisworldmodel-envs[plot]" in capsys.readouterr().err
+    assert 'pip install "matplotlib>=3.8"' in capsys.readouterr().err

@@ -95,7 +95,7 @@ def test_missing_damaged_and_other_files_are_named(whole, tmp_path):
     ("header", "told"),
     [
         ({"format": 99}, "has format 99, this version reads format 3"),
-        ({"format": True}, "format: must be a whole number"),
+        ({"format": True}, "format: must be no truth value"),
         ({"kind": "dreamer"}, "unknown kind 'dreamer', expected learned, "),
         ({"kind": "least_squares", "config": {"history_length": 8, "dt": 0.25}}, "not part of this configuration"),
         ({"name": "a\nb"}, "name: "),
@@ -128,12 +128,12 @@ def test_what_is_whole_is_read(kind, whole, tmp_path):
         ("width", 4096, "expected float32"),
         ("width", 16.0, "width: must be a whole number"),
         ("width", "16", "width: must be a whole number"),
-        ("heads", True, "heads: must be a whole number"),
+        ("heads", True, "heads: must be no truth value"),
         ("dt", float("nan"), "dt: must be"),
         ("dt", float("inf"), "dt: must be"),
         ("widht", 3, "unknown key 'widht'"),
         ("skip", "bilinear", "names fields twice"),
-        ("history_length", 10**400, "whole number|at most"),
+        pytest.param("history_length", 10**400, "must be less than 2", id="history_length-too-long-to-write"),
     ],
 )
 def test_sizes_and_types_are_bounded(field, value, told, change, whole):
@@ -201,7 +201,7 @@ def _type(array):
         ("linear.bias", [1e38] * 6, "linear.bias holds 6 of 6 numbers that are not between"),
         ("action_scale", [0.0] * 6, "action_scale holds 6 of 6 numbers that are not between 1e-10 and"),
         ("filter.noise", [-1.0] * 4, "filter.noise holds 4 of 4 numbers that are not between"),
-        ("rate_scale", 10**400, "cannot be read: .*too large"),
+        pytest.param("rate_scale", 10**400, "cannot be read: .*too large", id="rate_scale-too-long-to-write"),
         ("rate_scale", True, "rate_scale .* must hold real numbers"),
         ("linear.bias", ["1"] * 6, "linear.bias .* must hold real numbers"),
         ("linear.bias", ["1j"] * 6, "linear.bias .* must hold real numbers"),
