@@ -1,6 +1,5 @@
 """The PPO baseline under the real Stable-Baselines3. Run by `nox -s sb3`, which brings it."""
 
-import base64
 import csv
 import json
 import os
@@ -10,7 +9,6 @@ import signal
 import subprocess
 import sys
 import time
-import zipfile
 
 import numpy as np
 import pytest
@@ -161,19 +159,18 @@ class Executed:
 def test_a_received_run_executes_nothing_and_is_one_trainer_s(run, tmp_path):
     out = tmp_path / "received"
     shutil.copytree(run[0], out)
-    (save,) = (path / "model.zip" for path in (out / "state").iterdir())
-    with zipfile.ZipFile(save) as archive:
-        contents = {name: archive.read(name) for name in archive.namelist()}
-    code = base64.b64encode(pickle.dumps(Executed(tmp_path / "executed"))).decode("ascii")
-    poisoned = json.loads(contents["data"]) | {"ep_info_buffer": {":type:": "deque", ":serialized:": code}}
-    with zipfile.ZipFile(save, "w") as archive:
-        for name, data in (contents | {"data": json.dumps(poisoned)}).items():
-            archive.writestr(name, data)
     further = QUICK.model_copy(update={"steps": QUICK.steps + 1024})
-    with Claim(out, QUICK.model_dump(mode="json", exclude={"steps"})):
-        with pytest.raises(FolderTaken, match="another process is at work in"):
-            train_ppo(further, out, QUIET)
-    assert train_ppo(further, out, QUIET)["step"] == further.steps
+    with (
+        Claim(out, QUICK.model_dump(mode="json", exclude={"steps"})),
+        pytest.raises(FolderTaken, match="another process is at work in"),
+    ):
+        train_ppo(further, out, QUIET)
+    (save,) = (out / "state").iterdir()
+    (save / "parameters.pt").write_bytes(pickle.dumps(Executed(tmp_path / "executed")))
+    with pytest.raises(
+        CheckpointError, match=r"parameters\.pt is damaged, or none of ours: remove .*, and train again"
+    ):
+        train_ppo(further, out, QUIET)
     assert not (tmp_path / "executed").exists()
 
 

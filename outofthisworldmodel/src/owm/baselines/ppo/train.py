@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import pickle
 import time
 from pathlib import Path
 from typing import Any
@@ -128,9 +129,16 @@ def _new_model(config: PPOConfig, venv: VecNormalize) -> PPO:
 
 
 def _resumed(config: PPOConfig, venv: VecNormalize, save: Path) -> PPO:
-    """The model of a save, of which nothing but numbers is read: Stable-Baselines3's own files may hold code."""
-    model = _new_model(config, venv)
-    model.set_parameters(torch.load(save / _PARAMETERS, map_location="cpu", weights_only=True), device="cpu")
+    """The model of a save, of which nothing but numbers is read: Stable-Baselines3's own files may hold code.
+
+    Raises:
+        CheckpointError: the save holds anything else.
+    """
+    model, file = _new_model(config, venv), save / _PARAMETERS
+    try:
+        model.set_parameters(torch.load(file, map_location="cpu", weights_only=True), device="cpu")
+    except (pickle.UnpicklingError, EOFError, RuntimeError, ValueError, KeyError, TypeError, OSError):
+        raise CheckpointError(f"{file} is damaged, or none of ours: remove {save}, and train again") from None
     model.num_timesteps = int(save.name)
     return model
 
