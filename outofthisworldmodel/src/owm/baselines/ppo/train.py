@@ -19,6 +19,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from owm.baselines.ppo.config import PPOConfig
 from owm.baselines.ppo.policy import Observed, save_policy
 from owm.baselines.ppo.vec_env import make_env
+from owm.checkpoint import CheckpointError
 from owm.training.metrics import Metrics
 from owm_envs.claims import Claim
 from owm_envs.files import remove, replace_folder, write_atomically
