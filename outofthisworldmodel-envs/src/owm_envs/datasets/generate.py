@@ -133,7 +133,7 @@ def generate(
         return result
     check_free(out, moved)
     claim = Claim(partial, settings, GENERATION)
-    if (result := (claim.found or {}).get("result")) and (moved or _is_whole(partial, shard)):
+    if (result := (claim.found or {}).get("result")) and (moved or not _damage(partial, shard, _ASIDE)):
         _finish(partial, out, shard)
         if moved:
             _check_whole(out, shard)
@@ -180,23 +180,20 @@ def _finish(partial: Path, out: Path, shard: Shard | None) -> None:
     publish(partial, out)
 
 
-def _is_whole(partial: Path, shard: Shard | None) -> bool:
-    """Whether all files are as they were sealed; those of a share are looked at when they are merged."""
+def _damage(folder: Path, shard: Shard | None, aside: Sequence[str] = ()) -> str | None:
+    """How a finished run's files differ from what was sealed; those of a share are looked at when they are merged."""
     try:
         if shard is None:
-            check_manifest(partial, _ASIDE)
-    except (OSError, ValueError):
-        return False
-    return True
+            check_manifest(folder, aside)
+    except (OSError, ValueError) as error:
+        return plain(error)
+    return None
 
 
 def _check_whole(out: Path, shard: Shard | None) -> None:
     """Refuse a finished run that was damaged since."""
-    try:
-        if shard is None:
-            check_manifest(out)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{plain(error)}; remove {out}, and the same command records it anew") from None
+    if damage := _damage(out, shard):
+        raise ValueError(f"{damage}; remove {out}, and the same command records it anew")
 
 
 def settings_of(
