@@ -11,7 +11,7 @@ SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src
 FLOORS = {
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view", "pipeline"},
-        {"shell", "station", "claims", "video"},
+        {"shell", "station", "claims", "video", "hub_client"},
         {"config", "hub", "figures"},
         {"dynamics"},
         {"task"},

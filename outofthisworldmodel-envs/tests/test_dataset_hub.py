@@ -19,6 +19,7 @@ from owm_envs.datasets.generate import Request, generate
 from owm_envs.datasets.manifest import check_manifest, write_manifest
 from owm_envs.datasets.publish import repositories
 from owm_envs.files import FolderTaken
+from owm_envs.hub_client import HubError
 
 DATA = "data/chunk-000/file-000.parquet"
 
@@ -211,7 +212,7 @@ def test_a_push_needs_a_token_and_never_shows_it(local_hub, run, monkeypatch, sa
 
 def test_a_push_that_broke_goes_on_with_what_had_not_arrived(local_hub, run, monkeypatch):
     local_hub.faults.append(Fault("/commit/", 403))
-    with pytest.raises(hub.HubError, match="refuses that"):
+    with pytest.raises(HubError, match="refuses that"):
         pushed(run, together=True)
     before = local_hub.sent()
     assert before, "the large files had been sent"

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from local_hub import Fault
 
-from owm_envs import hub
+from owm_envs import hub, hub_client
 from owm_envs.camera.sky import load_sky
 from owm_envs.claims import Claim
 from owm_envs.cli import main
@@ -18,6 +18,7 @@ from owm_envs.datasets.manifest import load_manifest
 from owm_envs.datasets.merge import merge
 from owm_envs.datasets.recipe import load_recipe
 from owm_envs.files import MOST_BYTES, plain_file, read_text
+from owm_envs.hub_client import Unreachable
 from owm_envs.station.hull import load_hull
 from owm_envs.station.mesh import load_triangles
 
@@ -28,8 +29,8 @@ SILENT = "does not answer: try again later"
 @pytest.fixture
 def impatient(local_hub, monkeypatch):
     """A hub on this machine, and a client that gives up at once."""
-    monkeypatch.setattr(hub, "_PATIENCE", 0.2)
-    monkeypatch.setattr(hub, "_SILENCE", 0.2)
+    monkeypatch.setattr(hub_client, "PATIENCE", 0.2)
+    monkeypatch.setattr(hub_client, "SILENCE", 0.2)
     for name in ("HF_HUB_DOWNLOAD_TIMEOUT", "HF_HUB_ETAG_TIMEOUT", "DEFAULT_ETAG_TIMEOUT"):
         monkeypatch.setattr(f"huggingface_hub.constants.{name}", 0.2)
     monkeypatch.setattr("time.sleep", lambda seconds: None)  # between the client's own attempts
@@ -40,7 +41,7 @@ def impatient(local_hub, monkeypatch):
 def test_a_fetch_from_a_silent_hub_ends(impatient, where):
     impatient.publish("user/set", FILES, "dataset")
     impatient.faults.append(Fault(where, "silent"))
-    with pytest.raises(hub.Unreachable, match=SILENT):
+    with pytest.raises(Unreachable, match=SILENT):
         hub.fetch("user/set", kind="dataset")
     impatient.faults.clear()
     assert (hub.fetch("user/set", kind="dataset").folder / "data.parquet").read_bytes() == FILES["data.parquet"]
@@ -53,7 +54,7 @@ def test_a_fetch_from_a_silent_hub_ends(impatient, where):
 def test_a_push_to_a_silent_hub_ends(impatient, where):
     repository = hub.Repository("user/set", "dataset", FILES, "m", tag="v3.0")
     impatient.faults.append(Fault(where, "silent"))
-    with pytest.raises(hub.Unreachable, match=SILENT):
+    with pytest.raises(Unreachable, match=SILENT):
         hub.push(repository)
     impatient.faults.clear()
     commit = hub.push(repository).commit
@@ -63,7 +64,7 @@ def test_a_push_to_a_silent_hub_ends(impatient, where):
 def test_a_download_that_stops_in_the_middle_of_a_file_ends(impatient):
     impatient.publish("user/set", FILES, "dataset")
     impatient.faults.append(Fault("/cdn/", "hold"))
-    with pytest.raises(hub.Unreachable, match=SILENT):
+    with pytest.raises(Unreachable, match=SILENT):
         hub.fetch("user/set", kind="dataset")
 
 
@@ -83,11 +84,11 @@ def test_limits_are_for_our_own_questions_alone(client):
         request = SimpleNamespace(method=method, extensions={"timeout": own})
         if client == "requests":
             del request.extensions
-            return hub._limited(session).send(request, timeout=own.get("read"))
-        return hub._limited(session).send(request)["read"]
+            return hub_client._limited(session).send(request, timeout=own.get("read"))
+        return hub_client._limited(session).send(request)["read"]
 
     assert ask("HEAD", read=99) == 99
-    with hub._patient():
+    with hub_client._patient():
         whole = lambda seconds: seconds if client == "httpx" else (10, seconds)
         assert ask("POST", read=None) == whole(60) and ask("HEAD", read=99) == whole(10)
         assert ask("GET", read=99) == 99, "one that the user has set"

@@ -11,7 +11,7 @@ from owm.catalogue.checkpoint import load_world_model
 from owm.checkpoint import NoCheckpointError
 from owm.data.recordings import corpus_facts
 from owm.study.matrix import read_matrix
-from owm_envs import hub
+from owm_envs import hub_client
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
@@ -29,7 +29,7 @@ def test_no_file_without_an_end_is_read(tmp_path):
 
 
 def test_a_model_of_a_silent_hub_is_given_up(local_hub, monkeypatch):
-    monkeypatch.setattr(hub, "_PATIENCE", 0.2)
+    monkeypatch.setattr(hub_client, "PATIENCE", 0.2)
     local_hub.publish("user/model", {"config.json": b"{}"})
     local_hub.faults.append(Fault("/api/models/", "silent"))
     with pytest.raises(NoCheckpointError, match="neither a folder nor found on the hub, which does not answer"):

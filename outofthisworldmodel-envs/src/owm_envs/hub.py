@@ -1,4 +1,4 @@
-"""Repositories of the Hugging Face hub: fetched at one commit and checked, or published; errors in words.
+"""Repositories of the Hugging Face hub: fetched at one commit and checked, or published.
 
 What is fetched lies twice in the cache, on the same bytes: as the hub's client keeps it, which lets a broken download
 go on, and beside it as a folder of plain files for each commit, which appears once every hash has been checked.
@@ -11,11 +11,12 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path, PurePath
 from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
+from owm_envs import hub_client
 from owm_envs.claims import Claim
 from owm_envs.files import (
     check_free,
@@ -29,7 +30,15 @@ from owm_envs.files import (
     staged,
     write_atomically,
 )
-from owm_envs.words import install, plain
+from owm_envs.hub_client import (
+    ATTEMPTS,
+    Broken,
+    HubError,
+    Unreachable,
+    client,
+    in_words,
+    library,
+)
 
 Kind = Literal["dataset", "model"]
 SOURCE = "source.json"
@@ -37,39 +46,8 @@ SOURCE = "source.json"
 OUTPUT = "runs"
 """The folder that commands write to unless told otherwise: what is missing there is on no hub."""
 _MAIN = "main"
-_PATIENCE, _SILENCE = 10.0, 60.0
-"""Seconds until a hub that does not answer counts as out of reach; and until one that has answered does again."""
 _REPOSITORY = re.compile(r"(?P<name>\w[\w.-]*/\w[\w.-]*)(@(?P<revision>\w[\w./-]*))?")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
-_ATTEMPTS = 3
-"""At a file whose connection breaks, beside those that the client makes by itself; and at a hub that stays silent."""
-_BROKEN = {"ChunkedEncodingError", "ContentDecodingError", "IncompleteRead", "ProtocolError", "ReadError"}
-_UNREACHABLE = {
-    *("ConnectError", "ConnectionError", "LocalEntryNotFoundError", "NetworkError", "OfflineModeIsEnabled"),
-    *("SSLError", "Timeout", "TimeoutException", "TransportError"),
-}
-_SILENT = {"ReadTimeout", "WriteTimeout", "ReadTimeoutError", "TimeoutError", "_Silence"}
-"""Names of errors, by whichever HTTP client the hub's own stands on."""
-
-
-class HubError(OSError):
-    """The hub refuses what was asked of it, or gives something else.
-
-    Attributes:
-        reason: what the hub does, to follow its name.
-    """
-
-    def __init__(self, name: str, reason: str):
-        super().__init__(f"{name}: the hub {reason}")
-        self.reason = reason
-
-
-class NoRepository(HubError, FileNotFoundError):
-    """There is no such repository, or not for whoever asks."""
-
-
-class Unreachable(HubError):
-    """The hub does not answer, or is not to be asked, and the cache does not have it."""
 
 
 class Hashes(NamedTuple):
@@ -80,10 +58,6 @@ class Hashes(NamedTuple):
     """Of large files."""
     blob: str
     """Git's SHA-1 of the others."""
-
-
-class Broken(Unreachable):
-    """The connection ended in the middle of a file."""
 
 
 class Fetched(NamedTuple):
@@ -297,13 +271,13 @@ def push(repository: Repository, *, private: bool = False) -> Pushed:
         ImportError: its client is not installed.
     """
     name, kind, files, message, folders, tag = repository
-    api = _client(name)
+    api = client(name)
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete
 
     about: dict[str, Any] = {"repo_id": checked_name(name), "repo_type": kind}
-    with _in_words(name):
+    with in_words(name):
         api.create_repo(**about, private=private or None, exist_ok=True)
-        info = api.repo_info(**about, timeout=_PATIENCE)
+        info = api.repo_info(**about, timeout=hub_client.PATIENCE)
     if private and not info.private:
         raise HubError(name, "shows it to everybody already: make it private there, or leave out --private")
     there = _tree(name, info.sha, kind) if info.sha else {}
@@ -312,7 +286,7 @@ def push(repository: Repository, *, private: bool = False) -> Pushed:
     commit = info.sha
     if sent or gone:
         added = [CommitOperationAdd(path, c if isinstance(c := files[path], bytes) else str(c)) for path in sent]
-        with _in_words(name):
+        with in_words(name):
             done = api.create_commit(
                 **about,
                 operations=[*added, *(CommitOperationDelete(path, is_folder=False) for path in gone)],
@@ -323,7 +297,7 @@ def push(repository: Repository, *, private: bool = False) -> Pushed:
         if wrong := [path for path in files if not (path in there and _matches(files[path], there[path]))]:
             raise HubError(name, f"holds something else than was sent as {wrong[0]}: push again")
     if tag is not None:
-        with _in_words(name):
+        with in_words(name):
             tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(**about).tags}
             if tags.get(tag, commit) != commit:
                 api.delete_tag(**about, tag=tag)
@@ -334,100 +308,16 @@ def push(repository: Repository, *, private: bool = False) -> Pushed:
 
 def address(name: str, kind: Kind) -> str:
     """Where a browser finds a repository."""
-    return f"{_library().constants.ENDPOINT}/{'datasets/' if kind == 'dataset' else ''}{name}"
+    return f"{library().constants.ENDPOINT}/{'datasets/' if kind == 'dataset' else ''}{name}"
 
 
 def cache() -> Path:
     """The folder for what is fetched, beside the hub's own cache and on its disk."""
-    return Path(_library().constants.HF_HUB_CACHE).expanduser().absolute().parent / "owm"
+    return Path(library().constants.HF_HUB_CACHE).expanduser().absolute().parent / "owm"
 
 
 def _cache(name: str, kind: Kind) -> Path:
     return cache() / f"{kind}s--{name.replace('/', '--')}"
-
-
-def _client(name: str) -> Any:
-    """The hub's client.
-
-    Raises:
-        Unreachable: the user wants to stay offline.
-        ImportError: it is not installed.
-    """
-    library = _library(f"{name!r} is no folder, and ")
-    if library.constants.HF_HUB_OFFLINE:
-        raise Unreachable(name, "cannot be reached, because HF_HUB_OFFLINE is set")
-    return library.HfApi(library_name="outofthisworldmodel")
-
-
-def _library(why: str = "") -> Any:
-    """The module of the hub's client. Raises ImportError: it is not installed."""
-    try:
-        import huggingface_hub.constants
-    except ImportError as error:
-        raise ImportError(f"{why}the hub needs its client: {install('hub')}") from error
-    return huggingface_hub
-
-
-_asking = 0
-"""How many threads are asking the hub for us."""
-_unanswered = 0
-"""How many of our requests in a row had no answer."""
-
-
-class _Silence(OSError):
-    """The hub has not answered so often that it is not asked again; the client does not retry after it."""
-
-
-@contextlib.contextmanager
-def _patient() -> Iterator[None]:
-    """Have requests given up to which nothing comes: by itself the client waits for most of them for ever."""
-    global _asking, _unanswered
-    from huggingface_hub.utils import _http, get_session
-
-    if hasattr(_http, "set_client_factory"):  # from 1.0 on all threads share a session
-        _limited(get_session())
-    elif not hasattr(made := _http._GLOBAL_BACKEND_FACTORY, "limited"):
-        limited = lambda: _limited(made())
-        limited.limited = True
-        _http.configure_http_backend(limited)
-    if not _asking:
-        _unanswered = 0
-    _asking += 1
-    try:
-        yield
-    finally:
-        _asking -= 1
-
-
-def _limited(session: Any) -> Any:
-    """A session of `requests` or `httpx` whose requests have limits, if they bring none, while we are asking."""
-    if hasattr(send := session.send, "limited"):
-        return session
-
-    def limited(request: Any, **given: Any) -> Any:
-        global _unanswered
-        if not _asking:
-            return send(request, **given)
-        if _unanswered >= _ATTEMPTS:
-            raise _Silence(f"no answer to {_unanswered} requests in a row")
-        bare = request.method == "HEAD"  # an answer without bytes, which the client may wait for a minute and more
-        if hasattr(request, "extensions"):
-            usual = {"connect": _PATIENCE, "read": _PATIENCE if bare else _SILENCE, "write": _SILENCE, "pool": None}
-            own = {} if bare else request.extensions.get("timeout", {})
-            request.extensions["timeout"] = {what: own.get(what) or limit for what, limit in usual.items()}
-        elif bare or given.get("timeout") is None:
-            given["timeout"] = (_PATIENCE, _PATIENCE if bare else _SILENCE)
-        try:
-            answer = send(request, **given)
-        except Exception as error:
-            _unanswered += bool(_SILENT & {kind.__name__ for kind in type(error).__mro__})
-            raise
-        _unanswered = 0
-        return answer
-
-    limited.limited = True
-    session.send = limited
-    return session
 
 
 def _resolved(name: str, revision: str | None, kind: Kind) -> str:
@@ -435,9 +325,9 @@ def _resolved(name: str, revision: str | None, kind: Kind) -> str:
     if revision and _COMMIT.fullmatch(revision):
         return revision
     try:
-        api = _client(name)
-        with _in_words(name, revision):
-            commit = api.repo_info(name, repo_type=kind, revision=revision, timeout=_PATIENCE).sha
+        api = client(name)
+        with in_words(name, revision):
+            commit = api.repo_info(name, repo_type=kind, revision=revision, timeout=hub_client.PATIENCE).sha
     except Unreachable as error:
         known = _cache(name, kind) / "revisions" / quote(revision or _MAIN, safe="")
         if not known.is_file():
@@ -453,10 +343,10 @@ def _resolved(name: str, revision: str | None, kind: Kind) -> str:
 
 def _tree(name: str, commit: str, kind: Kind) -> dict[str, Hashes]:
     """The files of a commit."""
-    api = _client(name)
+    api = client(name)
     from huggingface_hub.hf_api import RepoFile
 
-    with _in_words(name, commit):
+    with in_words(name, commit):
         entries = list(api.list_repo_tree(name, recursive=True, revision=commit, repo_type=kind))
     files = [entry for entry in entries if isinstance(entry, RepoFile)]
     for file in files:
@@ -474,10 +364,10 @@ def _downloaded(name: str, commit: str, kind: Kind, only: Collection[str] | None
     patterns = {"allow_patterns": None if only is None else list(only), "ignore_patterns": [".gitattributes"]}
 
     def once() -> Path:
-        with _in_words(name, commit):
+        with in_words(name, commit):
             return Path(snapshot_download(name, repo_type=kind, revision=commit, **patterns))
 
-    for _ in range(_ATTEMPTS - 1):
+    for _ in range(ATTEMPTS - 1):
         with contextlib.suppress(Broken):  # what had arrived is kept
             return once()
     return once()
@@ -527,52 +417,3 @@ def _place(content: Path | bytes, path: Path, *, link: bool = False) -> None:
             return os.link(os.path.realpath(content), path)
     with open(content, "rb") as source:
         write_atomically(path, lambda file: shutil.copyfileobj(source, file, 2**20))
-
-
-@contextlib.contextmanager
-def _in_words(name: str, revision: str | None = None) -> Iterator[None]:
-    """Tell what the hub's client raises in a line of ours."""
-    try:
-        with _patient():
-            yield
-    except Exception as error:  # which of its HTTP client's own exceptions come is no part of its interface
-        raise _told(name, revision, error) from error
-
-
-def _told(name: str, revision: str | None, error: BaseException) -> OSError:
-    chain = [error]
-    while (cause := chain[-1].__cause__ or chain[-1].__context__) and cause not in chain:
-        chain.append(cause)
-    kinds = {kind.__name__ for link in chain for kind in type(link).__mro__}
-    status = next((s for link in chain if (s := getattr(getattr(link, "response", None), "status_code", None))), 0)
-    if any(getattr(link, "errno", None) == errno.ENOSPC for link in chain):
-        return OSError(errno.ENOSPC, f"the disk is full; make room, and the same command goes on with {name}")
-    if "GatedRepoError" in kinds:
-        return NoRepository(name, "keeps it for those who asked for it: do so on its page, and log in: hf auth login")
-    if "RevisionNotFoundError" in kinds:
-        return NoRepository(name, f"has no revision {revision!r} of it")
-    if status == 401 and "RepositoryNotFoundError" in kinds:
-        return NoRepository(name, "has no such repository, or a private one: log in with `hf auth login`")
-    if status == 401 or "LocalTokenNotFoundError" in kinds:
-        return HubError(name, "wants to know who asks: log in with `hf auth login`")
-    if status == 403:
-        return HubError(name, "refuses that (403): the name is another's, or your token lacks the permission")
-    if "RepositoryNotFoundError" in kinds:
-        return NoRepository(name, "has no such repository")
-    if "EntryNotFoundError" in kinds and "LocalEntryNotFoundError" not in kinds:
-        return HubError(name, "lists a file that it does not have")
-    if status == 429:
-        return HubError(name, "asks for patience (429): try again in a few minutes")
-    if 400 <= status < 500:
-        return HubError(name, f"refuses that ({status}): {plain(error)[:200]}")
-    if status >= 500:
-        return Unreachable(name, f"cannot be reached: it answers {status}")
-    if "FileMetadataError" in kinds:
-        return HubError(name, "answers like none: check proxy, firewall and HF_ENDPOINT")
-    if _BROKEN & kinds or "Consistency check" in str(error):
-        return Broken(name, "broke the connection in the middle of a file; the same command goes on from there")
-    if _SILENT & kinds:
-        return Unreachable(name, "does not answer: try again later, and what has arrived is kept")
-    if _UNREACHABLE & kinds:
-        return Unreachable(name, "cannot be reached")
-    return HubError(name, f"could not be used: {type(error).__name__}: {plain(error)[:200]}")

@@ -11,6 +11,7 @@ from owm_envs.datasets.recipe import SPLITS
 from owm_envs.datasets.runs import GENERATION
 from owm_envs.files import read_text
 from owm_envs.hub import SOURCE, Fetched
+from owm_envs.hub_client import HubError, NoRepository, Unreachable
 
 RUN_FILES = (GENERATION, "config.toml")
 """What tells of the run as a whole, in the folder of the splits; a split's own repository has copies."""
@@ -34,7 +35,7 @@ def local_dataset(source: str | os.PathLike) -> Path:
         return Path(source)
     try:
         parts = _fetched(*named)
-    except hub.HubError as error:
+    except HubError as error:
         told = (
             f"there is no dataset at {os.fspath(source)}: neither a folder nor found on the hub, which {error.reason}"
         )
@@ -96,11 +97,11 @@ def _fetched(name: str, revision: str | None, again: bool = False) -> dict[str, 
     how = {"kind": "dataset", "check": _check, "again": again}
     try:
         return {"": hub.fetch(name, revision, **how)}
-    except (hub.NoRepository, hub.Unreachable) as error:
+    except (NoRepository, Unreachable) as error:
         try:
             return {split: hub.fetch(f"{name}-{split}", revision, **how) for split in SPLITS}
-        except (hub.NoRepository, hub.Unreachable) as other:
-            missing = isinstance(error, hub.NoRepository) and isinstance(other, hub.Unreachable)
+        except (NoRepository, Unreachable) as other:
+            missing = isinstance(error, NoRepository) and isinstance(other, Unreachable)
             raise (other if missing else error) from None
 
 

@@ -10,6 +10,7 @@ from owm.catalogue.kinds import check
 from owm.checkpoint import FILES, HEADER, CheckpointError, NoCheckpointError
 from owm_envs import hub
 from owm_envs.hub import Repository
+from owm_envs.hub_client import HubError
 from owm_envs.words import unknown
 
 CARD = "README.md"
@@ -59,7 +60,7 @@ def local_folder(source: str | os.PathLike) -> Path:
         return Path(source)
     try:
         return hub.fetch(*named, kind="model", only=(*FILES, CARD)).folder
-    except hub.HubError as error:
+    except HubError as error:
         raise NoCheckpointError(source, f"neither a folder nor found on the hub, which {error.reason}") from error
 
 
