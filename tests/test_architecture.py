@@ -9,6 +9,14 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCES = {"astrojax": "astrojax/src", "owm_envs": "outofthisworldmodel-envs/src", "owm": "outofthisworldmodel/src"}
 FLOORS = {
+    "astrojax": [
+        {"_types", "constants", "compilation"},
+        {"time", "attitude", "propagate"},
+        {"frames", "ephemeris"},
+        {"orbits"},
+        {"forces"},
+        {"estimate"},
+    ],
     "owm_envs": [
         {"words", "registration", "files", "cores", "flags", "view", "pipeline"},
         {"shell", "station", "claims", "video", "hub_client"},

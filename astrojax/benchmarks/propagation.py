@@ -21,7 +21,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from astrojax import dynamics, elements, integrators
+from astrojax import forces, orbits, propagate
 from astrojax import time as epochs
 
 DAY = 61253  # 2026-08-01
@@ -39,16 +39,16 @@ def initial_elements(count: int) -> np.ndarray:
 def batched_propagation(steps: int, dt: float):
     """One program: all orbits through all steps, Sun and Moon once a step and for each orbit's own epoch."""
 
-    def propagate(state, start):
+    def fly(state, start):
         def step(state, i):
             day, seconds = epochs.normalize_epoch(jnp.asarray(DAY, state.dtype), start + i * dt)
-            bodies = dynamics.celestial_bodies(day, seconds)
-            params = dynamics.OrbitParams(bodies, MASS, AREA, CD)
-            return integrators.rk4_step(dynamics.derivative, i * dt, state, dt, params), None
+            bodies = forces.celestial_bodies(day, seconds)
+            params = forces.OrbitParams(bodies, MASS, AREA, CD)
+            return propagate.rk4_step(forces.derivative, i * dt, state, dt, params), None
 
         return jax.lax.scan(step, state, jnp.arange(steps, dtype=state.dtype))[0]
 
-    return jax.jit(jax.vmap(propagate))
+    return jax.jit(jax.vmap(fly))
 
 
 def brahe_run(states: np.ndarray, steps: int, dt: float) -> tuple[float, np.ndarray]:
@@ -93,7 +93,7 @@ def main() -> None:
     rows = [{"program": f"brahe {brahe.__version__} float64", "batch": options.peers, "seconds": []}]
     programs = []
     with jax.enable_x64(True):
-        states = np.asarray(jax.jit(jax.vmap(elements.keplerian_to_cartesian))(jnp.asarray(oe)))
+        states = np.asarray(jax.jit(jax.vmap(orbits.keplerian_to_cartesian))(jnp.asarray(oe)))
         for dtype in ("float64", "float32"):
             for batch in (1, options.batch):
                 start = jnp.asarray(states[:batch], dtype), jnp.zeros(batch, dtype)

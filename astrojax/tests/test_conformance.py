@@ -17,21 +17,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import astrojax
-from astrojax import (
-    atmosphere,
-    attitude,
-    compilation,
-    drag,
-    dynamics,
-    eclipse,
-    elements,
-    ephemeris,
-    gravity,
-    integrators,
-    relative,
-    third_body,
-    time,
-)
+from astrojax import attitude, compilation, ephemeris, forces, frames, orbits, propagate, time
 
 STEP = 2e-6  # of each argument's scale, for central differences
 
@@ -86,51 +72,51 @@ def _turned(angle):
 
 
 def _bodies(dtype):
-    return dynamics.Bodies(jnp.asarray(SUN, dtype), jnp.asarray(MOON, dtype))
+    return forces.Bodies(jnp.asarray(SUN, dtype), jnp.asarray(MOON, dtype))
 
 
 def _rk4(state, dt, gm):
     def f(t, y):
-        return {"r": y["v"], "v": gravity.accel_two_body(y["r"], gm)}
+        return {"r": y["v"], "v": forces.accel_two_body(y["r"], gm)}
 
-    return integrators.rk4_step(f, 0.0, {"r": state[:3], "v": state[3:]}, dt)
+    return propagate.rk4_step(f, 0.0, {"r": state[:3], "v": state[3:]}, dt)
 
 
 def _derivative(state, mass):
-    params = dynamics.OrbitParams(_bodies(state.dtype), mass, 50.0, 2.2)
-    return dynamics.derivative(0.0, state, params, dynamics.ForceModel(drag=False))
+    params = forces.OrbitParams(_bodies(state.dtype), mass, 50.0, 2.2)
+    return forces.derivative(0.0, state, params, forces.ForceModel(drag=False))
 
 
 def _forces(state, mass):
-    return dynamics.accel_gravity_and_perturbations(_bodies(state.dtype), state, mass, 50.0, 2.2)
+    return forces.accel_gravity_and_perturbations(_bodies(state.dtype), state, mass, 50.0, 2.2)
 
 
 def _relative(chief, separation, mass):
-    station, own = dynamics.Ballistics(4.2e5, 1500.0, 2.2), dynamics.Ballistics(mass, 50.0, 2.2)
-    return dynamics.accel_relative(_bodies(chief.dtype), chief, separation, station, own)
+    station, own = forces.Ballistics(4.2e5, 1500.0, 2.2), forces.Ballistics(mass, 50.0, 2.2)
+    return forces.accel_relative(_bodies(chief.dtype), chief, separation, station, own)
 
 
 def _rk4_increment(state, dt, gm):
     def f(t, y):
-        return jnp.concatenate([y[3:], gravity.accel_two_body(y[:3], gm)])
+        return jnp.concatenate([y[3:], forces.accel_two_body(y[:3], gm)])
 
-    return integrators.rk4_increment(f, 0.0, state, dt)
+    return propagate.rk4_increment(f, 0.0, state, dt)
 
 
 def _rk4_increment_looped(state, dt, gm):
     def f(t, y, gm):
-        return jnp.concatenate([y[3:], gravity.accel_two_body(y[:3], gm)])
+        return jnp.concatenate([y[3:], forces.accel_two_body(y[:3], gm)])
 
-    return integrators.rk4_increment_looped(f, jnp.zeros_like(dt), state, dt, (gm,))
+    return propagate.rk4_increment_looped(f, jnp.zeros_like(dt), state, dt, (gm,))
 
 
 def _compensated(y, lost, increment):
     """The sum alone: what it has lost is rounding, of no agreed value."""
-    total, lost = integrators.compensated_add({"y": y}, {"y": lost}, {"y": increment})
+    total, lost = propagate.compensated_add({"y": y}, {"y": lost}, {"y": increment})
     return total["y"] - lost["y"]
 
 
-_STM = relative.stm_hcw
+_STM = orbits.stm_hcw
 
 
 def _matrix(q):
@@ -161,66 +147,66 @@ CASES = [
     case("utc_to_tt", time.utc_to_tt, (A(61253.0), A(86380.0)), rtol32=1e-4),
     case("utc_to_tai", time.utc_to_tai, (A(61253.0), A(100.0))),
     # elements
-    case("mean_motion", elements.mean_motion, (A(6.795e6), GM)),
-    case("solve_kepler", elements.solve_kepler, (A(2.0), A(0.01)), (A(-0.3), A(0.8)), rtol32=1e-5),
-    case("propagate_keplerian", elements.propagate_keplerian, (ELEMENTS, A(60.0), GM), (ELEMENTS, A(-6000.0), GM)),
-    case("secular_rates_j2", elements.secular_rates_j2, (ELEMENTS, GM)),
+    case("mean_motion", orbits.mean_motion, (A(6.795e6), GM)),
+    case("solve_kepler", orbits.solve_kepler, (A(2.0), A(0.01)), (A(-0.3), A(0.8)), rtol32=1e-5),
+    case("propagate_keplerian", orbits.propagate_keplerian, (ELEMENTS, A(60.0), GM), (ELEMENTS, A(-6000.0), GM)),
+    case("secular_rates_j2", orbits.secular_rates_j2, (ELEMENTS, GM)),
     case(
         "keplerian_to_cartesian",
-        elements.keplerian_to_cartesian,
+        orbits.keplerian_to_cartesian,
         (ELEMENTS, GM),
         (A([7e6, 1e-5, 0.5, 0.2, 0.1, -2.0]), GM),
     ),
     case(
         "cartesian_to_keplerian",
-        elements.cartesian_to_keplerian,
+        orbits.cartesian_to_keplerian,
         (A([7e6, 1e5, -2e5, 1e2, 5.6e3, 6.5e3]), GM),
         (STATE, GM),
         rtol32=1e-5,
         gradient_rtol32=1e-1,
     ),
     # forces
-    case("accel_two_body", gravity.accel_two_body, (LEO, GM)),
+    case("accel_two_body", forces.accel_two_body, (LEO, GM)),
     *(
-        case(f"accel_zonal/{n}", functools.partial(gravity.accel_zonal, degree=n), (LEO,), (A([0.0, 0.0, 7e6]),))
+        case(f"accel_zonal/{n}", functools.partial(forces.accel_zonal, degree=n), (LEO,), (A([0.0, 0.0, 7e6]),))
         for n in (2, 4, 5, 6)
     ),
     case(
         "accel_third_body",
-        third_body.accel_third_body,
+        forces.accel_third_body,
         (LEO, SUN, A(1.327e20)),
         (LEO, MOON, A(4.9e12)),
         gradient_rtol32=2e-3,
     ),
     case(
         "geodetic_height",
-        atmosphere.harris_priester.geodetic_height,
+        frames.geodetic_height,
         (LEO,),
         (A([0.0, 0.0, -6.8e6]),),
         rtol32=1e-5,
     ),
     case(
         "density_harris_priester",
-        atmosphere.density_harris_priester,
+        forces.density_harris_priester,
         *((_at_height(h), SUN) for h in (-20e3, 60e3, 107e3, 413e3, 985e3, 1200e3)),  # either side of each bound
         rtol32=1e-3,
         gradient_rtol32=1e-2,
     ),
     case(
         "density_harris_priester/exponent",
-        atmosphere.density_harris_priester,
+        forces.density_harris_priester,
         (_at_height(413e3), SUN, A(3.3)),
         rtol32=1e-4,
         gradient_rtol32=1e-2,
     ),
     case(
         "illumination_conical",
-        eclipse.illumination_conical,
+        ephemeris.illumination_conical,
         *((_behind_the_earth(angle), SUN) for angle in (0.5, 1.2181, 1.2223, 1.2257, 1.4)),  # umbra, penumbra, sunlight
         rtol32=1e-4,
         gradient_rtol32=1e-2,
     ),
-    case("accel_drag", drag.accel_drag, (LEO, LEO_V, A(3e-12), A(1.2e4), A(50.0), A(2.2))),
+    case("accel_drag", forces.accel_drag, (LEO, LEO_V, A(3e-12), A(1.2e4), A(50.0), A(2.2))),
     case("accel_gravity_and_perturbations", _forces, (STATE, A(1.2e4))),
     case("derivative", _derivative, (STATE, A(1.2e4))),
     case(
@@ -235,13 +221,13 @@ CASES = [
     case("compensated_add", _compensated, (ACCEL, A([1e-4, -2e-4, 3e-4]), 1e-3 * ACCEL)),
     case("stored", compilation.stored, (ACCEL,)),
     # relative motion
-    case("rotation_eci_to_rtn", relative.rotation_eci_to_rtn, (STATE,)),
-    case("rtn_rate", relative.rtn_rate, (STATE, ACCEL)),
-    case("state_eci_to_rtn", relative.state_eci_to_rtn, (STATE, DEPUTY), rtol32=2e-2),
-    case("state_eci_to_rtn/rate", relative.state_eci_to_rtn, (STATE, DEPUTY, ACCEL), rtol32=2e-2),
-    case("state_rtn_to_eci", relative.state_rtn_to_eci, (STATE, REL, ACCEL)),
-    case("accel_hcw", relative.accel_hcw, (REL, A(1.1e-3))),
-    case("stm_hcw", relative.stm_hcw, *((A(1.1e-3), A(t)) for t in (0.05, 450.0, 460.0, 5700.0)), rtol32=1e-5),
+    case("rotation_eci_to_rtn", frames.rotation_eci_to_rtn, (STATE,)),
+    case("rtn_rate", frames.rtn_rate, (STATE, ACCEL)),
+    case("state_eci_to_rtn", frames.state_eci_to_rtn, (STATE, DEPUTY), rtol32=2e-2),
+    case("state_eci_to_rtn/rate", frames.state_eci_to_rtn, (STATE, DEPUTY, ACCEL), rtol32=2e-2),
+    case("state_rtn_to_eci", frames.state_rtn_to_eci, (STATE, REL, ACCEL)),
+    case("accel_hcw", orbits.accel_hcw, (REL, A(1.1e-3))),
+    case("stm_hcw", orbits.stm_hcw, *((A(1.1e-3), A(t)) for t in (0.05, 450.0, 460.0, 5700.0)), rtol32=1e-5),
     # attitude
     case("quat_multiply", attitude.quat_multiply, (Q1, Q2)),
     case("quat_conjugate", attitude.quat_conjugate, (Q1,)),
@@ -370,7 +356,7 @@ def test_epochs_of_mixed_types_under_strict_flags(jax_flags):
     with jax_flags(strict=True):
         for day in (61253, np.int32(61253), jnp.asarray(61253, jnp.int32)):
             assert time.gmst(day, jnp.float32(43210.0)).dtype == jnp.float32
-            assert dynamics.celestial_bodies(day, jnp.float32(43210.0)).moon.dtype == jnp.float32
+            assert forces.celestial_bodies(day, jnp.float32(43210.0)).moon.dtype == jnp.float32
 
 
 def test_readme_under_strict_flags(jax_flags, capsys):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from astrojax import constants, eclipse
+from astrojax import constants, ephemeris
 
 SUN = np.array([-9.4e10, 1.09e11, 4.7e10])
 
@@ -26,7 +26,7 @@ def penumbra(radius, count):
 
 
 def illumination(positions, dtype="float64"):
-    fn = jax.jit(jax.vmap(lambda r: eclipse.illumination_conical(r, jnp.asarray(SUN, dtype))))
+    fn = jax.jit(jax.vmap(lambda r: ephemeris.illumination_conical(r, jnp.asarray(SUN, dtype))))
     return np.asarray(fn(jnp.asarray(positions, dtype)))
 
 
@@ -78,7 +78,7 @@ def test_monotone_and_smooth_through_the_penumbra(dtype, x64):
     visible = illumination(positions[:-2], dtype)
     assert visible[0] == 0 and visible[-1] == 1
     assert np.diff(visible).min() >= (-1e-12 if dtype == "float64" else -1e-4)
-    slope = jax.jit(jax.vmap(jax.grad(lambda r: eclipse.illumination_conical(r, jnp.asarray(SUN, dtype)))))
+    slope = jax.jit(jax.vmap(jax.grad(lambda r: ephemeris.illumination_conical(r, jnp.asarray(SUN, dtype)))))
     gradient = np.asarray(slope(jnp.asarray(positions, dtype)))
     assert gradient.dtype == dtype and np.all(np.isfinite(gradient))
     # Half way, the limb sweeps over the disc's diameter: 22 km there, 2.36e6 m from the vehicle.

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from astrojax import atmosphere, constants, drag, dynamics, elements, gravity, integrators, third_body
+from astrojax import constants, forces, frames, orbits, propagate
 
 ISS = np.array([6795e3, 0.0005, np.radians(51.64), 0.7, 0.3, 1.9])
 SUN = np.array([-9.4e10, 1.09e11, 4.7e10])
@@ -52,7 +52,7 @@ def test_constants_against_brahe():
 def test_kepler_equation_closes(x64):
     """E - e sin E = M to rounding for every eccentricity up to 0.99, several turns included."""
     e, m = np.meshgrid(np.linspace(0.0, 0.99, 67), np.linspace(-10.0, 10.0, 401))
-    ecc = jax.jit(jax.vmap(elements.solve_kepler))(jnp.asarray(m.ravel()), jnp.asarray(e.ravel()))
+    ecc = jax.jit(jax.vmap(orbits.solve_kepler))(jnp.asarray(m.ravel()), jnp.asarray(e.ravel()))
     residual = ecc - e.ravel() * np.sin(ecc) - m.ravel()
     turns = residual / (2 * np.pi)
     assert np.max(np.abs(turns - np.round(turns))) < 1e-15 * 10
@@ -61,19 +61,19 @@ def test_kepler_equation_closes(x64):
 def test_kepler_second_derivative(quick, x64):
     """d2E/dM2 = -e sin E / (1 - e cos E)^3: the implicit rule holds beyond first order."""
     m, e = 0.7, 0.4
-    ecc = float(elements.solve_kepler(m, e))
-    second = quick(jax.grad(jax.grad(elements.solve_kepler)))(m, e)
+    ecc = float(orbits.solve_kepler(m, e))
+    second = quick(jax.grad(jax.grad(orbits.solve_kepler)))(m, e)
     assert float(second) == pytest.approx(-e * np.sin(ecc) / (1 - e * np.cos(ecc)) ** 3, rel=1e-12)
 
 
 def test_elements_against_brahe(rng, x64):
     """Both directions over 100 random orbits: 1 um and 1e-9 m/s; angles 1e-10 rad."""
     sets = random_elements(rng, 100)
-    states = jax.jit(jax.vmap(elements.keplerian_to_cartesian))(jnp.asarray(sets))
+    states = jax.jit(jax.vmap(orbits.keplerian_to_cartesian))(jnp.asarray(sets))
     expected = brahe.state_koe_to_eci(sets, brahe.AngleFormat.RADIANS)
     np.testing.assert_allclose(states[:, :3], expected[:, :3], rtol=0, atol=1e-6)
     np.testing.assert_allclose(states[:, 3:], expected[:, 3:], rtol=0, atol=1e-9)
-    back = jax.jit(jax.vmap(elements.cartesian_to_keplerian))(jnp.asarray(expected))
+    back = jax.jit(jax.vmap(orbits.cartesian_to_keplerian))(jnp.asarray(expected))
     reference = brahe.state_eci_to_koe(expected, brahe.AngleFormat.RADIANS)
     np.testing.assert_allclose(back[:, 0], reference[:, 0], rtol=0, atol=1e-5)
     np.testing.assert_allclose(back[:, 1], reference[:, 1], rtol=0, atol=1e-12)
@@ -85,24 +85,24 @@ def test_degenerate_orbits_round_trip(quick, x64):
     """State recovered within 10 um and gradients finite where node or perigee is undefined."""
     circular, equatorial = [7e6, 0.0, 0.9, 1.0, 0.0, 2.0], [7e6, 0.1, 0.0, 0.0, 1.0, 2.0]
     both, polar = [7e6, 0.0, 0.0, 0.0, 0.0, 2.0], [7e6, 0.1, np.pi / 2, 1.0, 0.5, 2.0]
-    to_cartesian = quick(jax.vmap(elements.keplerian_to_cartesian))
+    to_cartesian = quick(jax.vmap(orbits.keplerian_to_cartesian))
     states = to_cartesian(jnp.asarray([circular, equatorial, both, polar]))
-    back = quick(jax.vmap(elements.cartesian_to_keplerian))(states)
+    back = quick(jax.vmap(orbits.cartesian_to_keplerian))(states)
     np.testing.assert_allclose(to_cartesian(back), states, rtol=0, atol=1e-5)
-    gradients = quick(jax.vmap(jax.jacrev(elements.cartesian_to_keplerian)))(states)
+    gradients = quick(jax.vmap(jax.jacrev(orbits.cartesian_to_keplerian)))(states)
     assert np.all(np.isfinite(gradients))
 
 
 def test_keplerian_propagation_against_integration(x64):
     """Within 1 mm of an integrated two-body orbit after an orbit and a quarter, forwards and backwards."""
     for dt in (7000.0, -7000.0):
-        start = np.asarray(elements.keplerian_to_cartesian(jnp.asarray(ISS)))
+        start = np.asarray(orbits.keplerian_to_cartesian(jnp.asarray(ISS)))
 
         def two_body(t, y):
             return np.concatenate([y[3:], -constants.GM_EARTH * y[:3] / np.linalg.norm(y[:3]) ** 3])
 
         end = solve_ivp(two_body, (0.0, dt), start, method="DOP853", rtol=1e-13, atol=1e-6).y[:, -1]
-        ours = elements.keplerian_to_cartesian(elements.propagate_keplerian(jnp.asarray(ISS), dt))
+        ours = orbits.keplerian_to_cartesian(orbits.propagate_keplerian(jnp.asarray(ISS), dt))
         np.testing.assert_allclose(ours[:3], end[:3], rtol=0, atol=1e-3)
 
 
@@ -112,36 +112,36 @@ def test_keplerian_propagation_against_integration(x64):
 def test_secular_rates_against_closed_forms(x64):
     """Sun-synchronous, critically inclined and polar orbits; and a day of the station's by averaging the force."""
     year = 365.2421897 * 86_400
-    sun_synchronous = elements.secular_rates_j2(jnp.array([7_178_137.0, 0.0, np.radians(98.6), 0.0, 0.0, 0.0]))
+    sun_synchronous = orbits.secular_rates_j2(jnp.array([7_178_137.0, 0.0, np.radians(98.6), 0.0, 0.0, 0.0]))
     assert sun_synchronous[3] == pytest.approx(2 * np.pi / year, rel=0.01)
-    critical = elements.secular_rates_j2(jnp.array([2.66e7, 0.7, np.arccos(np.sqrt(0.2)), 0.0, 0.0, 0.0]))
+    critical = orbits.secular_rates_j2(jnp.array([2.66e7, 0.7, np.arccos(np.sqrt(0.2)), 0.0, 0.0, 0.0]))
     assert abs(critical[4]) < 1e-18
-    polar = elements.secular_rates_j2(jnp.array([7e6, 0.01, np.pi / 2, 0.0, 0.0, 0.0]))
+    polar = orbits.secular_rates_j2(jnp.array([7e6, 0.01, np.pi / 2, 0.0, 0.0, 0.0]))
     assert abs(polar[3]) < 1e-18
-    n, cos = elements.mean_motion(ISS[0]), np.cos(ISS[2])
+    n, cos = orbits.mean_motion(ISS[0]), np.cos(ISS[2])
     scale = 1.5 * constants.J2 * (constants.R_EARTH / (ISS[0] * (1 - ISS[1] ** 2))) ** 2 * n
     expected = [0, 0, 0, -scale * cos, scale * (2 - 2.5 * (1 - cos**2)),
                 scale * np.sqrt(1 - ISS[1] ** 2) * (1 - 1.5 * (1 - cos**2))]  # fmt: skip
-    np.testing.assert_allclose(elements.secular_rates_j2(jnp.array(ISS)), expected, rtol=1e-12)
+    np.testing.assert_allclose(orbits.secular_rates_j2(jnp.array(ISS)), expected, rtol=1e-12)
 
 
 def test_the_node_of_an_integrated_orbit_drifts_at_its_secular_rate(x64):
     def rate(_, y):
-        return jnp.concatenate([y[3:], gravity.accel_two_body(y[:3]) + gravity.accel_zonal(y[:3], 2)])
+        return jnp.concatenate([y[3:], forces.accel_two_body(y[:3]) + forces.accel_zonal(y[:3], 2)])
 
-    period = 2 * np.pi / float(elements.mean_motion(ISS[0]))
+    period = 2 * np.pi / float(orbits.mean_motion(ISS[0]))
     step = jnp.asarray(period / 400)
 
     @jax.jit
     def node_after(revolutions):
         y = jax.lax.fori_loop(
-            0, 400 * revolutions, lambda k, y: integrators.rk4_step(rate, k * step, y, step),
-            elements.keplerian_to_cartesian(jnp.array(ISS)),
+            0, 400 * revolutions, lambda k, y: propagate.rk4_step(rate, k * step, y, step),
+            orbits.keplerian_to_cartesian(jnp.array(ISS)),
         )  # fmt: skip
-        return elements.cartesian_to_keplerian(y)[3]
+        return orbits.cartesian_to_keplerian(y)[3]
 
     drift = float(node_after(15) - ISS[3]) / (15 * period)
-    assert drift == pytest.approx(float(elements.secular_rates_j2(jnp.array(ISS))[3]), rel=0.01)
+    assert drift == pytest.approx(float(orbits.secular_rates_j2(jnp.array(ISS))[3]), rel=0.01)
 
 
 @pytest.mark.parametrize("degree", [0, 2, 3, 4, 5, 6])
@@ -150,7 +150,7 @@ def test_zonal_gravity_against_brahe(degree, rng, x64):
     positions = random_positions(rng, 50)
 
     def ours(r):
-        return gravity.accel_two_body(r) + gravity.accel_zonal(r, degree)
+        return forces.accel_two_body(r) + forces.accel_zonal(r, degree)
 
     expected = [brahe.accel_earth_zonal_gravity(r, degree) for r in positions]
     np.testing.assert_allclose(jax.jit(jax.vmap(ours))(jnp.asarray(positions)), expected, rtol=0, atol=2e-14)
@@ -159,7 +159,7 @@ def test_zonal_gravity_against_brahe(degree, rng, x64):
 @pytest.mark.parametrize("degree", [7, -1, True])
 def test_zonal_degree_is_checked(degree):
     with pytest.raises(ValueError, match="degree: expected a static integer from 0 to 6"):
-        gravity.accel_zonal(jnp.asarray([7e6, 0.0, 0.0]), degree)
+        forces.accel_zonal(jnp.asarray([7e6, 0.0, 0.0]), degree)
 
 
 @pytest.mark.parametrize("body, gm", [(SUN, constants.GM_SUN), (MOON, constants.GM_MOON)], ids=["sun", "moon"])
@@ -175,7 +175,7 @@ def test_third_body_against_exact_arithmetic(body, gm, rng, x64):
         exact = np.array([float(-decimal.Decimal(gm) * (a / d3 + b / s3)) for a, b in zip(d, sd)])
         size = np.linalg.norm(exact)
         for dtype, tolerance in ((jnp.float64, 1e-13), (jnp.float32, 1e-6)):
-            ours = third_body.accel_third_body(jnp.asarray(r, dtype), jnp.asarray(s, dtype), gm)
+            ours = forces.accel_third_body(jnp.asarray(r, dtype), jnp.asarray(s, dtype), gm)
             assert np.linalg.norm(ours - exact) < tolerance * size
 
 
@@ -187,7 +187,7 @@ def test_third_body_against_brahe(x64):
         (constants.GM_SUN, brahe.sun_position, brahe.accel_third_body_sun),
         (constants.GM_MOON, brahe.moon_position, brahe.accel_third_body_moon),
     ):
-        ours = third_body.accel_third_body(jnp.asarray(r), jnp.asarray(position(epoch)), gm)
+        ours = forces.accel_third_body(jnp.asarray(r), jnp.asarray(position(epoch)), gm)
         np.testing.assert_allclose(ours, theirs(epoch, r), rtol=0, atol=1e-12)
 
 
@@ -200,14 +200,14 @@ def test_geodetic_height_against_brahe(x64):
         latitudes = np.linspace(-np.pi / 2, np.pi / 2, 91)
         geodetic = [np.array([0.3, latitude, height]) for latitude in latitudes]
         points = np.array([brahe.position_geodetic_to_ecef(g, brahe.AngleFormat.RADIANS) for g in geodetic])
-        ours = jax.jit(jax.vmap(atmosphere.harris_priester.geodetic_height))(jnp.asarray(points))
+        ours = jax.jit(jax.vmap(frames.geodetic_height))(jnp.asarray(points))
         np.testing.assert_allclose(ours, height, rtol=0, atol=0.1)
 
 
 def test_density_against_brahe(rng, x64):
     """Within 1e-5 relative over 400 random places from 105 to 975 km, by day and by night."""
     positions = random_positions(rng, 400, 125e3, 950e3)
-    ours = jax.jit(jax.vmap(lambda r: atmosphere.density_harris_priester(r, jnp.asarray(SUN))))(positions)
+    ours = jax.jit(jax.vmap(lambda r: forces.density_harris_priester(r, jnp.asarray(SUN))))(positions)
     expected = np.array([brahe.density_harris_priester(r, SUN) for r in positions])
     assert np.all(expected > 0)
     np.testing.assert_allclose(ours, expected, rtol=1e-5)
@@ -218,7 +218,7 @@ def test_density_outside_the_table(x64):
 
     def density(height):
         r = jnp.stack([6378137.0 + jnp.asarray(height), jnp.zeros(()), jnp.zeros(())])
-        return atmosphere.density_harris_priester(r, jnp.asarray(SUN))
+        return forces.density_harris_priester(r, jnp.asarray(SUN))
 
     assert float(density(1000.1e3)) == 0.0
     assert float(density(999.9e3)) > 1e-15
@@ -235,14 +235,14 @@ def test_density_bulge_exponent(exponent, x64):
     sun = jnp.asarray([np.hypot(SUN[0], SUN[1]) * np.cos(apex - np.radians(30)), SUN[1], 0.0])
     r = (6378137.0 + 400e3) * jnp.asarray([np.cos(apex + np.pi / 2), np.sin(apex + np.pi / 2), 0.0])
     expected = 2.249e-12 + (7.492e-12 - 2.249e-12) * 0.5 ** (exponent / 2)
-    assert float(atmosphere.density_harris_priester(r, sun, exponent)) == pytest.approx(expected, rel=1e-6)
+    assert float(forces.density_harris_priester(r, sun, exponent)) == pytest.approx(expected, rel=1e-6)
 
 
 def test_drag_against_brahe(rng, x64):
     """Within 1e-8 relative (5e-14 m/s2) of brahe with its true-of-date rotation left out."""
     for r in random_positions(rng, 10):
         v = rng.normal(size=3) * 4e3
-        ours = drag.accel_drag(jnp.asarray(r), jnp.asarray(v), 3e-12, 12000.0, 50.0, 2.2)
+        ours = forces.accel_drag(jnp.asarray(r), jnp.asarray(v), 3e-12, 12000.0, 50.0, 2.2)
         expected = brahe.accel_drag(np.concatenate([r, v]), 3e-12, 12000.0, 50.0, 2.2, np.eye(3))
         np.testing.assert_allclose(ours, expected, rtol=1e-8, atol=1e-18)
 
@@ -250,7 +250,7 @@ def test_drag_against_brahe(rng, x64):
 def test_drag_at_rest_in_the_air_has_finite_gradient(quick, x64):
     r = jnp.asarray([7e6, 0.0, 0.0])
     v = jnp.asarray([0.0, constants.OMEGA_EARTH * 7e6, 0.0])
-    gradient = quick(jax.jacrev(drag.accel_drag, argnums=(0, 1)))(r, v, 1e-12, 100.0, 1.0, 2.2)
+    gradient = quick(jax.jacrev(forces.accel_drag, argnums=(0, 1)))(r, v, 1e-12, 100.0, 1.0, 2.2)
     assert all(np.all(np.isfinite(g)) for g in gradient)
 
 
@@ -259,7 +259,7 @@ def test_drag_at_rest_in_the_air_has_finite_gradient(quick, x64):
 
 def test_rk4_against_brahe(x64):
     """One pendulum step equal to brahe's integrator to 1e-14."""
-    ours = integrators.rk4_step(lambda t, y: jnp.stack([y[1], -jnp.sin(y[0]) + t]), 0.3, jnp.asarray([1.0, 0.2]), 0.1)
+    ours = propagate.rk4_step(lambda t, y: jnp.stack([y[1], -jnp.sin(y[0]) + t]), 0.3, jnp.asarray([1.0, 0.2]), 0.1)
     theirs = brahe.RK4Integrator(2, lambda t, y: np.array([y[1], -np.sin(y[0]) + t]))
     np.testing.assert_allclose(ours, theirs.step(0.3, np.array([1.0, 0.2]), 0.1), rtol=0, atol=1e-14)
 
@@ -270,7 +270,7 @@ def test_rk4_is_of_fourth_order(x64):
     def error(steps):
         y = (jnp.asarray(1.0), {"twin": jnp.asarray([1.0, 2.0])})
         for i in range(steps):
-            y = integrators.rk4_step(lambda t, y, k: jax.tree.map(lambda x: k * x, y), i / steps, y, 1 / steps, 1.0)
+            y = propagate.rk4_step(lambda t, y, k: jax.tree.map(lambda x: k * x, y), i / steps, y, 1 / steps, 1.0)
         assert float(y[1]["twin"][1]) == pytest.approx(2 * float(y[0]), rel=1e-15)
         return abs(float(y[0]) - np.e)
 
@@ -279,10 +279,10 @@ def test_rk4_is_of_fourth_order(x64):
 
 def test_propagation_against_brahe_forces(x64):
     """One orbit, every force, bodies held: within 1 cm of brahe's forces integrated by SciPy's DOP853."""
-    bodies = dynamics.celestial_bodies(61253, 43200.0)
+    bodies = forces.celestial_bodies(61253, 43200.0)
     sun, moon = np.asarray(bodies.sun), np.asarray(bodies.moon)
     mass, area, cd, duration, steps = 12000.0, 50.0, 2.2, 5560.0, 1112
-    start = np.asarray(elements.keplerian_to_cartesian(jnp.asarray(ISS)))
+    start = np.asarray(orbits.keplerian_to_cartesian(jnp.asarray(ISS)))
 
     def point_mass(r, body, gm):
         return brahe.accel_point_mass_gravity(r, body, gm)
@@ -295,32 +295,32 @@ def test_propagation_against_brahe_forces(x64):
         return np.concatenate([y[3:], accel + brahe.accel_drag(y, density, mass, area, cd, np.eye(3))])
 
     end = solve_ivp(reference, (0.0, duration), start, method="DOP853", rtol=1e-11, atol=1e-5).y[:, -1]
-    params = dynamics.OrbitParams(bodies, mass, area, cd)
+    params = forces.OrbitParams(bodies, mass, area, cd)
 
     @jax.jit
-    def propagate(state):
+    def flown(state):
         def step(_, y):
-            return integrators.rk4_step(dynamics.derivative, 0.0, y, duration / steps, params, dynamics.ForceModel())
+            return propagate.rk4_step(forces.derivative, 0.0, y, duration / steps, params, forces.ForceModel())
 
         return jax.lax.fori_loop(0, steps, step, state)
 
-    ours = propagate(jnp.asarray(start))
+    ours = flown(jnp.asarray(start))
     np.testing.assert_allclose(ours[:3], end[:3], rtol=0, atol=1e-2)
     np.testing.assert_allclose(ours[3:], end[3:], rtol=0, atol=1e-5)
 
 
 def test_force_model_selects_and_is_checked(x64):
-    state = elements.keplerian_to_cartesian(jnp.asarray(ISS))
-    bodies = dynamics.celestial_bodies(61253, 0.0)
+    state = orbits.keplerian_to_cartesian(jnp.asarray(ISS))
+    bodies = forces.celestial_bodies(61253, 0.0)
 
     def accel(model):
-        return dynamics.accel_gravity_and_perturbations(bodies, state, 12000.0, 50.0, 2.2, model)
+        return forces.accel_gravity_and_perturbations(bodies, state, 12000.0, 50.0, 2.2, model)
 
-    bare = accel(dynamics.ForceModel(0, sun=False, moon=False, drag=False))
-    np.testing.assert_array_equal(bare, gravity.accel_two_body(state[:3]))
+    bare = accel(forces.ForceModel(0, sun=False, moon=False, drag=False))
+    np.testing.assert_array_equal(bare, forces.accel_two_body(state[:3]))
     for field, bounds in {"sun": (1e-8, 1e-6), "moon": (1e-7, 2e-6), "drag": (1e-7, 1e-5)}.items():
-        off = dynamics.ForceModel(0, **({"sun": False, "moon": False, "drag": False} | {field: True}))
+        off = forces.ForceModel(0, **({"sun": False, "moon": False, "drag": False} | {field: True}))
         assert bounds[0] < np.linalg.norm(accel(off) - bare) < bounds[1]
-    assert hash(dynamics.ForceModel()) == hash(dynamics.ForceModel(4, True, True, True))
+    assert hash(forces.ForceModel()) == hash(forces.ForceModel(4, True, True, True))
     with pytest.raises(ValueError, match=r"zonal_degree: expected one of \(0, 2, 3, 4, 5, 6\), got 7"):
-        dynamics.ForceModel(zonal_degree=7)
+        forces.ForceModel(zonal_degree=7)

@@ -8,7 +8,7 @@ import pytest
 import scipy.linalg
 from scipy.spatial.transform import Rotation
 
-from astrojax import attitude, elements, gravity, integrators, relative
+from astrojax import attitude, forces, frames, orbits, propagate
 
 CHIEF = np.asarray([-3.9e6, 4.4e6, 3.4e6, -5.1e3, -5.3e3, 1.7e3])
 DEPUTY = CHIEF + np.array([120.0, -80.0, 40.0, 0.3, -0.2, 0.1])
@@ -21,28 +21,28 @@ N = 1.13e-3
 def test_rtn_against_brahe(x64):
     """Rotation to 1e-14, relative state to 1 nm and 1e-12 m/s, and back to 1 nm."""
     chief, deputy = jnp.asarray(CHIEF), jnp.asarray(DEPUTY)
-    np.testing.assert_allclose(relative.rotation_eci_to_rtn(chief), brahe.rotation_eci_to_rtn(CHIEF), atol=1e-14)
-    rel = relative.state_eci_to_rtn(chief, deputy)
+    np.testing.assert_allclose(frames.rotation_eci_to_rtn(chief), brahe.rotation_eci_to_rtn(CHIEF), atol=1e-14)
+    rel = frames.state_eci_to_rtn(chief, deputy)
     theirs = np.asarray(brahe.state_eci_to_rtn(CHIEF, DEPUTY))
     np.testing.assert_allclose(rel[:3], theirs[:3], rtol=0, atol=1e-9)
     np.testing.assert_allclose(rel[3:], theirs[3:], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(relative.state_rtn_to_eci(chief, rel), DEPUTY, rtol=0, atol=2e-9)
+    np.testing.assert_allclose(frames.state_rtn_to_eci(chief, rel), DEPUTY, rtol=0, atol=2e-9)
     accel = jnp.asarray([0.1, -0.3, 0.2])
-    there = relative.state_eci_to_rtn(chief, deputy, accel)
-    np.testing.assert_allclose(relative.state_rtn_to_eci(chief, there, accel), DEPUTY, rtol=0, atol=2e-9)
+    there = frames.state_eci_to_rtn(chief, deputy, accel)
+    np.testing.assert_allclose(frames.state_rtn_to_eci(chief, there, accel), DEPUTY, rtol=0, atol=2e-9)
 
 
 def accel_thrusting(r):
-    return gravity.accel_two_body(r) + gravity.accel_zonal(r, 6) + jnp.asarray([0.3, -0.5, 0.4])
+    return forces.accel_two_body(r) + forces.accel_zonal(r, 6) + jnp.asarray([0.3, -0.5, 0.4])
 
 
 def test_rtn_rate_is_the_rate_of_the_axes(x64):
     """omega x = C dC^T/dt along a thrusting orbit, out-of-plane turning included, to 1e-12 rad/s."""
     chief = jnp.asarray(CHIEF)
     accel = accel_thrusting(chief[:3])
-    matrix, matrix_dot = jax.jvp(relative.rotation_eci_to_rtn, (chief,), (jnp.concatenate([chief[3:], accel]),))
+    matrix, matrix_dot = jax.jvp(frames.rotation_eci_to_rtn, (chief,), (jnp.concatenate([chief[3:], accel]),))
     skew = matrix @ matrix_dot.T
-    omega = relative.rtn_rate(chief, accel)
+    omega = frames.rtn_rate(chief, accel)
     np.testing.assert_allclose(omega, [skew[2, 1], skew[0, 2], skew[1, 0]], rtol=0, atol=1e-15)
     assert abs(float(omega[0])) > 1e-5  # the term under test is not negligible here
 
@@ -51,12 +51,12 @@ def test_rtn_velocity_is_the_derivative_of_rtn_position(x64):
     """With the chief's acceleration, relative velocity is the rate of relative position, to 1e-10 m/s."""
 
     def position(chief, deputy):
-        return relative.state_eci_to_rtn(chief, deputy)[:3]
+        return frames.state_eci_to_rtn(chief, deputy)[:3]
 
     states = tuple(jnp.asarray(s) for s in (CHIEF, DEPUTY))
     rates = tuple(jnp.concatenate([s[3:], accel_thrusting(s[:3])]) for s in states)
     _, velocity = jax.jvp(position, states, rates)
-    rel = relative.state_eci_to_rtn(*states, rates[0][3:])
+    rel = frames.state_eci_to_rtn(*states, rates[0][3:])
     np.testing.assert_allclose(rel[3:], velocity, rtol=0, atol=1e-10)
 
 
@@ -72,7 +72,7 @@ def hcw_matrix(n):
 @pytest.mark.parametrize("dt", [0.05, 100.0, 442.0, 443.0, 5560.0, -300.0])
 def test_hcw_transition_against_matrix_exponential(dt, x64):
     """Relative to 100 m and 0.1 m/s starts: within 1 um and 1 nm/s, an orbit included."""
-    ours = np.asarray(relative.stm_hcw(N, dt)) @ np.diag([100, 100, 100, 0.1, 0.1, 0.1])
+    ours = np.asarray(orbits.stm_hcw(N, dt)) @ np.diag([100, 100, 100, 0.1, 0.1, 0.1])
     theirs = scipy.linalg.expm(hcw_matrix(N) * dt) @ np.diag([100, 100, 100, 0.1, 0.1, 0.1])
     np.testing.assert_allclose(ours[:3], theirs[:3], rtol=0, atol=1e-6)
     np.testing.assert_allclose(ours[3:], theirs[3:], rtol=0, atol=1e-9)
@@ -80,25 +80,25 @@ def test_hcw_transition_against_matrix_exponential(dt, x64):
 
 def test_hcw_acceleration_against_matrix(rng, x64):
     for state in rng.normal(size=(5, 6)) * [100, 100, 100, 0.1, 0.1, 0.1]:
-        ours = relative.accel_hcw(jnp.asarray(state), N)
+        ours = orbits.accel_hcw(jnp.asarray(state), N)
         np.testing.assert_allclose(ours, hcw_matrix(N)[3:] @ state, rtol=0, atol=1e-18)
 
 
 def test_hcw_without_rotation_is_free_drift(quick, x64):
-    matrix = relative.stm_hcw(0.0, 7.0)
+    matrix = orbits.stm_hcw(0.0, 7.0)
     np.testing.assert_array_equal(matrix, np.block([[np.eye(3), 7 * np.eye(3)], [np.zeros((3, 3)), np.eye(3)]]))
-    assert np.all(np.isfinite(quick(jax.jacrev(relative.stm_hcw))(0.0, 7.0)))
+    assert np.all(np.isfinite(quick(jax.jacrev(orbits.stm_hcw))(0.0, 7.0)))
 
 
 def test_hcw_describes_nearby_orbits(x64):
     """A deputy 100 m away on a two-body orbit stays within 5 cm of HCW for ten minutes."""
     oe = jnp.asarray([6795e3, 0.0, 0.9, 0.3, 0.0, 0.2])
-    n = elements.mean_motion(oe[0])
+    n = orbits.mean_motion(oe[0])
     rel = jnp.asarray([60.0, -70.0, 40.0, 0.05, -0.1, 0.02])
-    deputy = elements.cartesian_to_keplerian(relative.state_rtn_to_eci(elements.keplerian_to_cartesian(oe), rel))
-    after = [elements.keplerian_to_cartesian(elements.propagate_keplerian(x, 600.0)) for x in (oe, deputy)]
-    exact = relative.state_eci_to_rtn(*after)
-    np.testing.assert_allclose(relative.stm_hcw(n, 600.0) @ rel, exact, rtol=0, atol=0.05)
+    deputy = orbits.cartesian_to_keplerian(frames.state_rtn_to_eci(orbits.keplerian_to_cartesian(oe), rel))
+    after = [orbits.keplerian_to_cartesian(orbits.propagate_keplerian(x, 600.0)) for x in (oe, deputy)]
+    exact = frames.state_eci_to_rtn(*after)
+    np.testing.assert_allclose(orbits.stm_hcw(n, 600.0) @ rel, exact, rtol=0, atol=0.05)
 
 
 # --- attitude ---
@@ -192,7 +192,7 @@ def test_kinematics_of_a_constant_rate(x64):
     omega = jnp.asarray([0.01, -0.02, 0.015])
     q = start = jnp.asarray([0.5, 0.5, -0.5, 0.5])
     for _ in range(100):
-        q = integrators.rk4_step(lambda t, q: attitude.quat_derivative(q, omega), 0.0, q, 1.0)
+        q = propagate.rk4_step(lambda t, q: attitude.quat_derivative(q, omega), 0.0, q, 1.0)
     exact = attitude.quat_multiply(start, attitude.quat_from_rotation_vector(100.0 * omega))
     np.testing.assert_allclose(q, exact, rtol=0, atol=1e-8)
 
@@ -217,7 +217,7 @@ def test_torque_free_tumbling_conserves_momentum_and_energy(x64):
         return attitude.quat_derivative(y[0], y[1]), attitude.accel_euler(y[1], inertia, zero)
 
     y = start = (jnp.asarray([1.0, 0.0, 0.0, 0.0]), jnp.asarray([0.03, 0.0, 0.08]))
-    step = jax.jit(lambda y: integrators.rk4_step(f, 0.0, y, 0.5))
+    step = jax.jit(lambda y: propagate.rk4_step(f, 0.0, y, 0.5))
     for _ in range(400):
         y = step(y)
 
@@ -237,7 +237,7 @@ def test_gravity_gradient_against_point_masses(x64):
     inertia = mass * sum((p @ p) * np.eye(3) - np.outer(p, p) for p in points)
     r = np.array([4e6, -3e6, 4.5e6])
     pulls = np.array(
-        [gravity.accel_two_body(jnp.asarray(r + p)) - gravity.accel_two_body(jnp.asarray(r)) for p in points]
+        [forces.accel_two_body(jnp.asarray(r + p)) - forces.accel_two_body(jnp.asarray(r)) for p in points]
     )
     exact = mass * np.sum(np.cross(points, pulls), axis=0)
     ours = attitude.torque_gravity_gradient(jnp.asarray(r), jnp.asarray(inertia))

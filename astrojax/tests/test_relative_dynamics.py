@@ -7,14 +7,8 @@ import pytest
 
 from astrojax import compilation
 from astrojax.compilation import CPU_OPTIONS, compiler_options, stored
-from astrojax.dynamics import (
-    Ballistics,
-    Bodies,
-    ForceModel,
-    accel_gravity_and_perturbations,
-    accel_relative,
-)
-from astrojax.integrators import compensated_add, rk4_increment, rk4_step
+from astrojax.forces import Ballistics, Bodies, ForceModel, accel_gravity_and_perturbations, accel_relative
+from astrojax.propagate import compensated_add, rk4_increment, rk4_step
 
 BODIES = Bodies(np.array([-9.4e10, 1.09e11, 4.7e10]), np.array([3.58e8, -1.49e8, -6.0e7]))
 CHIEF = np.array([-3.9e6, 4.4e6, 3.4e6, -5.1e3, -5.3e3, 1.7e3])

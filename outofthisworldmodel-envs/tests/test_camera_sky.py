@@ -8,7 +8,7 @@ import pytest
 
 from astrojax.compilation import compiler_options
 from astrojax.constants import GM_EARTH, R_EARTH, R_SUN
-from astrojax.elements import keplerian_to_cartesian
+from astrojax.orbits import keplerian_to_cartesian
 from astrojax.time import mjd_from_calendar
 from owm_envs.camera.light import Heavens, heavens
 from owm_envs.camera.sky import BLOCK, load_sky, sky_radiance, splat_stars

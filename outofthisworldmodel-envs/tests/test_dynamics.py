@@ -5,7 +5,7 @@ import pytest
 
 from astrojax.attitude import quat_angle, quat_from_rotation_vector, quat_multiply
 from astrojax.constants import GM_EARTH
-from astrojax.relative import stm_hcw
+from astrojax.orbits import stm_hcw
 from owm_envs.config import FIDELITIES
 from owm_envs.dynamics import RTN_TO_STATION
 from owm_envs.view import View

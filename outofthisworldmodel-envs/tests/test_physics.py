@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import reference_orbit as reference
 
-from astrojax.eclipse import illumination_conical
-from astrojax.ephemeris import sun_position
+from astrojax.ephemeris import illumination_conical, sun_position
 from owm_envs.env import DockingEnv
 from owm_envs.task.reset import sample_start
 from owm_envs.view import View

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from astrojax.constants import GM_EARTH
-from astrojax.elements import keplerian_to_cartesian, propagate_keplerian
+from astrojax.orbits import keplerian_to_cartesian, propagate_keplerian
 from owm_envs.camera.lens import Camera
 from owm_envs.camera.light import Heavens, heavens
 from owm_envs.camera.render import render

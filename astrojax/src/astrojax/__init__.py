@@ -21,33 +21,23 @@ def _refuse_foreign_distribution() -> None:
 _refuse_foreign_distribution()
 
 from astrojax import (  # noqa: E402  (the check above must come first)
-    atmosphere,
     attitude,
     constants,
-    drag,
-    dynamics,
-    eclipse,
-    elements,
     ephemeris,
-    gravity,
-    integrators,
-    relative,
-    third_body,
+    forces,
+    frames,
+    orbits,
+    propagate,
     time,
 )
 
 __all__ = [
-    "atmosphere",
     "attitude",
     "constants",
-    "drag",
-    "dynamics",
-    "eclipse",
-    "elements",
     "ephemeris",
-    "gravity",
-    "integrators",
-    "relative",
-    "third_body",
+    "forces",
+    "frames",
+    "orbits",
+    "propagate",
     "time",
 ]

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax.constants import ARCSECOND, R_SUN
-from astrojax.eclipse import illumination_conical
-from astrojax.ephemeris import moon_position, sun_position
-from astrojax.relative import rotation_eci_to_rtn
+from astrojax.ephemeris import illumination_conical, moon_position, sun_position
+from astrojax.frames import rotation_eci_to_rtn
 from astrojax.time import gmst, julian_centuries_tt
 from owm_envs.dynamics import RTN_TO_STATION
 

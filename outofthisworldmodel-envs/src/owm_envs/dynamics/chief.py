@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from astrojax.constants import GM_EARTH
-from astrojax.elements import keplerian_to_cartesian, propagate_keplerian, secular_rates_j2
+from astrojax.orbits import keplerian_to_cartesian, propagate_keplerian, secular_rates_j2
 from owm_envs.config.params import ChiefParams, Params
 from owm_envs.dynamics.state import PhysicalState
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax.attitude import accel_euler, quat_derivative, quat_normalize, quat_rotate
-from astrojax.integrators import rk4_step
+from astrojax.propagate import rk4_step
 from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
 from owm_envs.view import View

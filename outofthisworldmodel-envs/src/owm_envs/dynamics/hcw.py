@@ -19,8 +19,8 @@ from astrojax.attitude import (
     torque_gravity_gradient,
 )
 from astrojax.constants import GM_EARTH
-from astrojax.elements import mean_motion
-from astrojax.integrators import rk4_step
+from astrojax.orbits import mean_motion
+from astrojax.propagate import rk4_step
 from owm_envs.config.params import Params
 from owm_envs.dynamics.state import PhysicalState, VehicleState
 from owm_envs.view import View

@@ -24,17 +24,17 @@ from astrojax.attitude import (
 )
 from astrojax.compilation import stored, summed
 from astrojax.constants import GM_EARTH
-from astrojax.dynamics import (
+from astrojax.forces import (
     Ballistics,
     ForceModel,
     accel_gravity_and_perturbations,
     accel_relative,
+    accel_zonal,
     celestial_bodies,
 )
-from astrojax.elements import keplerian_to_cartesian
-from astrojax.gravity import accel_zonal
-from astrojax.integrators import compensated_add, rk4_increment_looped
-from astrojax.relative import rotation_eci_to_rtn, rtn_rate
+from astrojax.frames import rotation_eci_to_rtn, rtn_rate
+from astrojax.orbits import keplerian_to_cartesian
+from astrojax.propagate import compensated_add, rk4_increment_looped
 from astrojax.time import normalize_epoch
 from owm_envs.config.params import Params
 from owm_envs.dynamics.chief import RTN_TO_STATION, elements_at

@@ -8,12 +8,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key
 
-from astrojax.attitude import (
-    quat_conjugate,
-    quat_from_rotation_vector,
-    quat_multiply,
-    quat_to_rotation_vector,
-)
+from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_to_rotation_vector
 from astrojax.compilation import stored
 from owm_envs.config.params import NoiseParams
 from owm_envs.task.events import safe_norm

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from astrojax.constants import GM_EARTH
-from astrojax.relative import stm_hcw
+from astrojax.orbits import stm_hcw
 from owm.scores.flights import Flights
 from owm_envs.field import GeodesicField, clearance
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from astrojax._types import FloatScalar, Scalar, Vector3, dot, inverse_norm
-from astrojax.constants import WGS84_A, WGS84_F
+from astrojax.frames import geodetic_height
 
 # Height [km], antapex (minimum) and apex (maximum) density [g/km^3], mean solar activity.
 _TABLE = np.array(
@@ -72,23 +72,6 @@ _LOG_MAX = np.interp(_GRID, _TABLE[:, 0], np.log(_TABLE[:, 2] * 1e-12))
 _LAYERS = np.stack([_LOG_MIN[:-1], np.diff(_LOG_MIN), _LOG_MAX[:-1], np.diff(_LOG_MAX)], axis=1)
 
 _LAG_COS, _LAG_SIN = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
-
-
-def geodetic_height(r: Vector3) -> FloatScalar:
-    """Height [m] above the WGS84 ellipsoid, by its expansion to second order in the flattening.
-
-    Args:
-        r: (3,) position from Earth's centre [m], z along the figure axis.
-
-    Validity: within 0.1 m from the ground to 2000 km; smooth at the poles, no iteration, no trigonometry.
-
-    Source: the ellipsoid's radius at the geocentric latitude, r - a (1 - f s^2 - ...), and the foot point's
-    offset from it, expanded in f; the tests hold it against brahe's iterative conversion.
-    """
-    inv_r = inverse_norm(r)
-    s2 = (r[2] * inv_r) ** 2
-    bend = 2.0 * WGS84_F * s2 * (1.0 - s2) * (WGS84_A * inv_r - 0.25)  # sin^2(2 phi) / 2 = 2 s2 (1 - s2)
-    return dot(r, r) * inv_r - WGS84_A * (1.0 - WGS84_F * (s2 + bend))
 
 
 def density_harris_priester(r: Vector3, r_sun: Vector3, exponent: Scalar = 6) -> FloatScalar:

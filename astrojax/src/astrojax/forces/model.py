@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from astrojax._types import Scalar, Vector3, Vector6
-from astrojax.atmosphere.harris_priester import density_harris_priester
 from astrojax.constants import GM_EARTH, GM_MOON, GM_SUN
-from astrojax.drag import accel_drag
 from astrojax.ephemeris import moon_position, sun_position
-from astrojax.gravity import ZONAL_DEGREES, accel_two_body, accel_zonal
-from astrojax.third_body import accel_third_body
+from astrojax.forces.drag import accel_drag
+from astrojax.forces.gravity import ZONAL_DEGREES, accel_two_body, accel_zonal
+from astrojax.forces.harris_priester import density_harris_priester
+from astrojax.forces.third_body import accel_third_body
 
 
 @dataclasses.dataclass(frozen=True)
