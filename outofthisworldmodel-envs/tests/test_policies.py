@@ -185,11 +185,23 @@ def test_a_slot_whose_episode_starts_forgets_and_the_others_do_not(name, env, po
     undisturbed.reset(ports=np.array([0, 1, 2]))
     for _ in range(4):
         expected, _ = undisturbed.predict(observations)
-    action, _ = flown.predict(observations, episode_start=np.array([False, True, False]))
+    with pytest.warns(UserWarning, match="slot 1 begins an episode, but its port was not announced"):
+        action, _ = flown.predict(observations, episode_start=np.array([False, True, False]))
     first, _ = fresh.predict(observations)
     np.testing.assert_array_equal(action[[0, 2]], expected[[0, 2]])
     assert not np.allclose(action[1], expected[1]), "the slot went on as if its episode had not ended"
     assert not np.allclose(action[1], first[1]), "the second episode drew the same numbers as the first"
+
+
+def test_a_port_that_is_announced_or_is_everyones_is_no_old_one(env, policies, recwarn):
+    observations = _observations(env, 3)
+    policy = VectorPolicy(policies["dock"])
+    policy.reset(ports="zvezda_aft")
+    policy.predict(observations, episode_start=np.ones(3, bool))
+    policy.predict(observations, episode_start=np.array([False, True, False]))
+    policy.reset(mask=np.array([True, False, False]), ports=np.array([1, 2, 3]))
+    policy.predict(observations, episode_start=np.array([True, False, False]))
+    assert not [w for w in recwarn if "port" in str(w.message)]
 
 
 def test_reset_moves_the_masked_slots_to_their_new_ports(env, policies):

@@ -220,7 +220,8 @@ def test_it_survives_the_disk(kind, request, tmp_path):
     loaded = load_world_model(folder, expect=model.config)
     for a, b in zip(jax.tree.leaves(loaded.params), jax.tree.leaves(model.params), strict=True):
         np.testing.assert_array_equal(a, b)
-    assert kind_of(str(folder)) == "latent world model", "reports say what it was given, and that is no kinematics"
+    fitted = ", fitted map" if model.config.base_dynamics == "bilinear" else ""
+    assert kind_of(str(folder)) == f"latent world model{fitted}", "reports say what it was given: no kinematics"
 
 
 def test_the_published_loss_is_that_of_the_velocity():

@@ -1,5 +1,6 @@
 """The one shell around policies that fly slots: it keeps episodes, ports and state, and checks what it is given."""
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from owm_envs.flags import own_flags
-from owm_envs.station import port_indices
+from owm_envs.station import PORT_NAMES, port_indices
 from owm_envs.task.observation import Observation, ObservationLayout, part
 from owm_envs.task.sensors import STATE
 
@@ -56,6 +57,7 @@ class SlotPolicy(ABC):
         self._any_number = num_slots is None
         self._ports: np.ndarray | None = None
         self._common: np.integer | None = None  # port of every slot, until a batch shows how many there are
+        self._one_port = False  # for good, whoever begins
         self._episodes = self._pending = np.zeros(0)
         self._first = 0
         self._state: Any = None
@@ -87,6 +89,7 @@ class SlotPolicy(ABC):
             ValueError: shapes disagree, a port is unknown or cannot be flown to, or no ports were ever given.
         """
         self._common = None
+        self._one_port = self._one_port if ports is None else np.ndim(ports) == 0
         if ports is None and self._ports is None:
             raise ValueError("ports must be given on the first reset: one port index for each slot")
         if ports is not None and np.ndim(ports) == 0:
@@ -136,7 +139,8 @@ class SlotPolicy(ABC):
         Args:
             observation: (B, O), or (O,) for a single slot; or a mapping of such parts.
             state: what the last call returned; the state kept inside when None.
-            episode_start: slots whose episode begins with this observation, at the port last announced.
+            episode_start: slots whose episode begins with this observation, at the port last announced; where that was
+                another episode's, and not one port for all, a warning says so.
             deterministic: has no effect: all draws follow from the policy's seed.
 
         Returns:
@@ -150,6 +154,7 @@ class SlotPolicy(ABC):
         single = len(shape) == 1
         if self._common is not None:
             self.reset(ports=np.full(1 if single else shape[0], self._common))
+            self._one_port = True
         if self._ports is None:
             raise ValueError("call reset(ports=...) before predict: the policy must know each slot's port")
         parts = dict(observation) if isinstance(observation, Mapping) else {STATE: observation}
@@ -159,7 +164,9 @@ class SlotPolicy(ABC):
         if batch[STATE].shape != expected:
             raise ValueError(f"observation must have shape {expected}, got {shape}")
         if episode_start is not None:
-            self.reset(np.broadcast_to(np.asarray(episode_start, bool), (self.num_slots,)))
+            begun = np.broadcast_to(np.asarray(episode_start, bool), (self.num_slots,))
+            self._warn_of_old_ports(begun & ~self._pending)
+            self.reset(begun)
         fresh, self._pending = self._pending, np.zeros_like(self._pending)
         self._episodes = self._episodes + fresh
         slots = Slots(fresh, self._ports, self._episodes, self.active)
@@ -167,3 +174,14 @@ class SlotPolicy(ABC):
             actions, self._state = self.act(self._state if state is None else state, batch, slots)
         actions = np.where(self.active[:, None], np.asarray(actions, np.float32), np.float32(0))
         return (actions[0] if single else actions), self._state
+
+    def _warn_of_old_ports(self, begun: Bool[np.ndarray, "B"]) -> None:
+        """Say that slots begin an episode whose port nobody has announced: an environment may have drawn another."""
+        if begun.any() and not self._one_port:
+            slot = int(np.flatnonzero(begun)[0])
+            warnings.warn(
+                f"slot {slot} begins an episode, but its port was not announced: it flies to that of the last one, "
+                f"{PORT_NAMES[self._ports[slot]]}; call reset(mask, ports=info['port']), or reset(ports=NAME) once "
+                "where all fly to one port",
+                stacklevel=3,
+            )

@@ -46,7 +46,8 @@ _EXACT = "the simulator's own, started from the measurement"
 OWN = "user's own"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
-    "latent world model": Given(
+    "latent world model": Given(_MAP, "none: all learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "latent world model, fitted map": Given(
         _MAP, "none; products of features fitted, the rest learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"
     ),
     "least-squares": Given(_MAP, f"{_KINEMATICS} fitted", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
@@ -95,6 +96,7 @@ _OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 _KINDS = {
     "learned": "world model",
     "latent": "latent world model",
+    "latent, fitted map": "latent world model, fitted map",
     "least_squares": "least-squares",
     "constant_velocity": "constant-velocity",
 }
@@ -168,7 +170,8 @@ def kind_of(policy: str) -> str:
     if kind == "ppo":
         return "ppo-field" if header.config.get("observe_field") is True else "ppo"
     if kind == "learned" and header.config.get("stream") == "latent":
-        kind = "latent"
+        base = header.config.get("base_dynamics", header.config.get("skip", "bilinear"))  # its name in older files
+        kind = "latent, fitted map" if base == "bilinear" else "latent"
     if kind not in _KINDS:
         raise ValueError(f"{policy!r} holds a {kind} model, which is no policy; need {', '.join(_KINDS)}")
     return _KINDS[kind]

@@ -7,7 +7,7 @@ import numpy as np
 from owm.report.page import Table
 from owm.report.tables import percent
 from owm.scores.flights import Flights, succeeded
-from owm.scores.statistics import rate
+from owm.scores.statistics import seeded_rate
 from owm_envs.station import HELD_OUT_PORTS, PORT_NAMES, TRAIN_PORTS
 
 PLANNER_BY_PORT = {
@@ -62,20 +62,24 @@ NOT_ALIKE = (
 """The line below every table and figure that quotes the paper."""
 
 
-def paper_table(flights: Sequence[Flights]) -> Table:
-    """Rows of the paper's table for some policies, above the paper's own."""
+def paper_table(flights: Sequence[Flights | Sequence[Flights]]) -> Table:
+    """Rows of the paper's table for some policies, above the paper's own.
+
+    Args:
+        flights: of each policy, or of each of its trained seeds.
+    """
     rows = []
     for each in flights:
-        names = np.array(PORT_NAMES)[each.port]
-        train, held_out = (each.select(np.isin(names, ports)) for ports in (TRAIN_PORTS, HELD_OUT_PORTS))
+        seeds = [each] if isinstance(each, Flights) else list(each)
+        names = np.array(PORT_NAMES)[seeds[0].port]
+        splits = (np.isin(names, ports) for ports in (TRAIN_PORTS, HELD_OUT_PORTS))
+        train, held_out = ([one.select(mask) for one in seeds] for mask in splits)
         rows.append(
             [
-                f"here: {each.policy}",
-                percent(rate(succeeded(each, 1.0))),
-                percent(rate(succeeded(train, 1.0))),
-                percent(rate(succeeded(held_out, 1.0))),
-                percent(rate(succeeded(train, 0.1, full=True))),
-                " / ".join(percent(rate(part.collided), False) for part in (train, held_out)),
+                f"here: {seeds[0].policy}",
+                *(percent(seeded_rate([succeeded(one, 1.0) for one in some])) for some in (seeds, train, held_out)),
+                percent(seeded_rate([succeeded(one, 0.1, full=True) for one in train])),
+                " / ".join(percent(seeded_rate([one.collided for one in some]), False) for some in (train, held_out)),
             ]
         )
     return Table(COLUMNS, [*rows, *map(list, ROWS)], NOT_ALIKE)

@@ -30,7 +30,7 @@ from owm.report.tables import (
     port_table,
 )
 from owm.scores.docking import check_identical_starts
-from owm.scores.flights import Flights, join, score, score_groups, speed_by_range, succeeded
+from owm.scores.flights import Flights, score, score_groups, speed_by_range, succeeded
 from owm.scores.statistics import Pairs, holm, pair
 from owm.study.conditions import CONDITIONS, Condition
 from owm.study.matrix import Matrix, Study, flights_asked, row_name, study_keys
@@ -252,7 +252,7 @@ def _given(matrix: Matrix, flown: Flown) -> Iterator[Block]:
 
 
 def _paper(matrix: Matrix, flown: Flown) -> Iterator[Block]:
-    rows = [join(seeds) for (_, planner, condition), seeds in flown.items()
+    rows = [seeds for (_, planner, condition), seeds in flown.items()
             if condition in ("nominal", "near") and planner in (None, "geodesic")]  # fmt: skip
     if rows:
         yield "## Next to the paper"
