@@ -6,7 +6,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-POLICY_NAMES: tuple[str, ...] = ("random", "orbit", "dock", "dock-geodesic", "excite", "dock-geodesic-integral")
+POLICY_NAMES: tuple[str, ...] = (
+    "random",
+    "orbit",
+    "dock",
+    "dock-geodesic",
+    "excite",
+    "dock-geodesic-integral",
+    "dock-safe",
+)
 """Scripted policies; a policy's id in files is its place in this tuple. New names go to the end."""
 
 

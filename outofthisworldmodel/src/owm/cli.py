@@ -31,9 +31,9 @@ def fly(
     """Fly a policy to a docking port and print how it went.
 
     Args:
-        policy: pretrained, dock, dock-geodesic, dock-geodesic-integral, random, orbit, excite, ekf-mpc, oracle-mppi,
-            constant-velocity, the folder of a checkpoint, online:FOLDER, user/name on the hub, or module:Class of
-            your own.
+        policy: pretrained, dock, dock-geodesic, dock-geodesic-integral, dock-safe, random, orbit, excite, ekf-mpc,
+            oracle-mppi, constant-velocity, the folder of a checkpoint, online:FOLDER, user/name on the hub, or
+            module:Class of your own.
         port: Docking port.
         plot: Draw the trajectory into OUT.
         flights: How many, each from a start of its own.

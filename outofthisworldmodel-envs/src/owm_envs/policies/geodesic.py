@@ -51,7 +51,7 @@ class DockGeodesicPolicy:
         """Track the field's velocity."""
         view = read_view(self.layout, observation)
         accel, angular = _track(self.field, self.rows, state, view)
-        return self.layout.action(_wrench(self.vehicle, view, accel, angular)), state
+        return self.layout.action(body_wrench(self.vehicle, view, accel, angular)), state
 
 
 class Integral(NamedTuple):
@@ -87,7 +87,7 @@ class DockGeodesicIntegralPolicy:
         view = read_view(self.layout, observation)
         dtype, vehicle = view.position.dtype, self.vehicle
         accel, angular = _track(self.field, self.rows, state.port, view)
-        command = _wrench(vehicle, view, accel + state.accel, angular + state.angular)
+        command = body_wrench(vehicle, view, accel + state.accel, angular + state.angular)
 
         position, attitude = goal_of(state.port, dtype)
         offset, turn = position - view.position, attitude_error(view, attitude)
@@ -119,14 +119,20 @@ def _track(
     speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
     speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
     wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
-    error = attitude_error(view, goal_of(port, dtype)[1])
+    return (wanted - view.velocity) / 2.0, turn_towards(port, view)
+
+
+def turn_towards(port: Int[Array, ""], view: View) -> Float[Array, "3"]:
+    """The angular acceleration, rad/s2 in body axes, that leads to the attitude of a port."""
+    error = attitude_error(view, goal_of(port, view.position.dtype)[1])
     angle = safe_norm(error)
     turn = jnp.minimum(0.05, jnp.minimum(jnp.sqrt(0.02 * jnp.maximum(angle, 1e-9)), angle / 5.0))
-    rate = turn * error / jnp.maximum(angle, 1e-9)
-    return (wanted - view.velocity) / 2.0, (rate - view.rate) / 2.0
+    return (turn * error / jnp.maximum(angle, 1e-9) - view.rate) / 2.0
 
 
-def _wrench(vehicle: Vehicle, view: View, accel: Float[Array, "3"], angular: Float[Array, "3"]) -> Float[Array, "6"]:
+def body_wrench(
+    vehicle: Vehicle, view: View, accel: Float[Array, "3"], angular: Float[Array, "3"]
+) -> Float[Array, "6"]:
     """The body wrench [N, N m] of accelerations in station and body axes, the force within its limit."""
     force = quat_rotate(quat_conjugate(view.attitude), vehicle.mass * accel)
     torque = jnp.asarray(vehicle.inertia, angular.dtype) * angular

@@ -79,13 +79,22 @@ GIVEN: dict[str, Given] = {
     "dock": Given("no", "no: fixed PD gains", "inertia ratios", "no", "no", "no", "nothing"),
     "dock-geodesic": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "no", "nothing"),
     "dock-geodesic-integral": Given(_MAP, "no: fixed time constants", "yes", "no", "no", "yes: integral", "nothing"),
+    "dock-safe": Given(
+        _MAP,
+        "Clohessy and Wiltshire's; fixed time constants",
+        "yes",
+        "no",
+        "no",
+        "no",
+        "nothing",
+    ),
     "orbit": Given("no", "no: fixed PD gains", "yes", "no", "no", "no", "nothing"),
     "excite": Given("no", "no", "yes", "no", "no", "no", "nothing"),
     "random": Given("no", "no", "no", "no", "no", "no", "nothing"),
     OWN: Given(*["not told"] * 7),
 }
 """Keyed by `kind_of` a policy."""
-SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "random", "orbit", "excite")
+SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "dock-safe", "random", "orbit", "excite")
 NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 ONLINE_PREFIX = "online:"

@@ -18,7 +18,11 @@ CONTACT = (
     "IDSS: at closest approach within the rates that the docking standard asks for at contact (closing at 0.05 to "
     "0.10 m/s, 0.04 m/s and 0.10 m across, 4 deg, 0.20 deg/s); or slower: its least closing speed left out. "
 )
-COASTS = "Safe coasts: share of instants, every 2 s of flight, from which 360 s without thrust stay clear of the hull. "
+COASTS = (
+    "Safe coasts: share of instants, every 2 s of flight, from which 360 s without thrust stay clear of the hull; of "
+    "all, and of those beyond 10 m of the hull. Way out: share of the nearer ones from which an impulse of at most "
+    "1 m/s, along any five of six directions, leads to such a coast. "
+)
 
 
 def percent(numbers: Mapping[str, float], interval: bool = True) -> str:
@@ -27,6 +31,11 @@ def percent(numbers: Mapping[str, float], interval: bool = True) -> str:
         return "–"
     text = f"{_whole(100 * numbers['rate'])} %"
     return f"{text} [{_whole(100 * numbers['low'])}, {_whole(100 * numbers['high'])}]" if interval else text
+
+
+def _share(value: float | None) -> str:
+    """A share as a percentage; a dash where there is none."""
+    return "–" if value is None else f"{_whole(100 * value)} %"
 
 
 def _whole(value: float) -> str:
@@ -66,7 +75,10 @@ def docking_table(
                 percent(seeded_rate([one.collided for one in seeds]), by_split),
                 f"{percent(scores['escape'], False)} / {percent(scores['timeout'], False)}",
                 f"{percent(scores['idss'], False)} / {percent(scores['idss_or_slower'], False)}",
-                "–" if scores["safe_share"] is None else f"{_whole(100 * scores['safe_share'])} %",
+                "–"
+                if scores["safe_share"] is None
+                else f"{_share(scores['safe_share'])} / {_share(scores['far_safe_share'])}",
+                _share(scores["avoidable_share"]),
                 _number(scores["median_time"], "{:.0f}"),
                 _number(scores["median_delta_v"], "{:.1f}"),
                 _number(scores["least_clearance"], "{:.2f}"),
@@ -83,7 +95,8 @@ def docking_table(
         "collided",
         "escaped / timed out",
         "IDSS / or slower",
-        "safe coasts",
+        "safe coasts, all / far",
+        "way out, near",
         "time s",
         "Δv m/s",
         "clearance m",

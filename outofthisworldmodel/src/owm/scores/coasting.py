@@ -6,12 +6,12 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from astrojax.constants import GM_EARTH
-from astrojax.orbits import stm_hcw
 from owm.scores.flights import Flights
 from owm_envs.field import GeodesicField, clearance
+from owm_envs.field.drift import drift_matrices
 
 COAST = 360.0
 """s without thrust."""
@@ -24,8 +24,14 @@ MARGIN = 0.2
 _CHUNK = 512
 
 
+FAR = 10.0
+"""m of clearance. Beyond, a chaser that stops thrusting is to drift clear; nearer, a small impulse is to save it."""
+IMPULSES = (0.5, 1.0)
+"""m/s: sizes of an avoidance impulse."""
+
+
 def add_coasts(flights: Flights, field: GeodesicField, semi_major_axis: float = 6_795_000.0) -> Flights:
-    """Add to flights with trajectories how many of their instants are passively safe.
+    """Add to flights with trajectories how many of their instants are passively safe, and how many can be made so.
 
     Approximated, to the safe side but for the first: motion is Hill-Clohessy-Wiltshire about a circular orbit (after
     360 s 0.1 m, at most 0.5 m, from `iss-numerical`); clearance is looked up between the field's nodes, less `MARGIN`;
@@ -46,9 +52,44 @@ def add_coasts(flights: Flights, field: GeodesicField, semi_major_axis: float = 
     # The last state is where the flight ended: nothing is planned from it.
     instants = np.isfinite(flights.trajectory[:, 1:, 0])[:, ::stride]
     states = flights.trajectory[:, :-1:stride, :6][instants].astype(np.float32)
-    safe = np.zeros(instants.shape, bool)
-    safe[instants] = coasts_clear(field, states, math.sqrt(GM_EARTH / semi_major_axis**3))
-    return replace(flights, instants=instants.sum(axis=1), instants_safe=safe.sum(axis=1))
+    n = math.sqrt(GM_EARTH / semi_major_axis**3)
+    clear = coasts_clear(field, states, n)
+    far = np.asarray(_gaps(field, states[:, :3])) > FAR
+    avoidable = np.zeros(len(states), bool)
+    avoidable[~far] = impulse_clears(field, states[~far], n)
+
+    def counted(which: Bool[np.ndarray, "M"]) -> Int[np.ndarray, "N"]:
+        marks = np.zeros(instants.shape, bool)
+        marks[instants] = which
+        return marks.sum(axis=1)
+
+    return replace(
+        flights,
+        instants=instants.sum(axis=1),
+        instants_safe=counted(clear),
+        instants_far=counted(far),
+        instants_far_safe=counted(far & clear),
+        instants_avoidable=counted(avoidable),
+    )
+
+
+def impulse_clears(field: GeodesicField, states: Float[np.ndarray, "N 6"], n: float) -> Bool[np.ndarray, "N"]:
+    """Whether an impulse of at most 1 m/s, along any five of the six axis directions, leads to a coast that is clear.
+
+    So at least two of the six must: whichever one fails, another is left.
+
+    Args:
+        states: position m and velocity m/s, station frame, whose axes are those of the impulses.
+        n: mean motion of the station, rad/s.
+    """
+    ways = np.zeros(len(states), int)
+    for direction in np.concatenate([np.eye(3), -np.eye(3)]):
+        clears = np.zeros(len(states), bool)
+        for size in IMPULSES:
+            pushed = states + np.concatenate([np.zeros(3), size * direction]).astype(states.dtype)
+            clears |= coasts_clear(field, pushed, n)
+        ways += clears
+    return ways >= 2
 
 
 def coasts_clear(field: GeodesicField, states: Float[np.ndarray, "N 6"], n: float) -> Bool[np.ndarray, "N"]:
@@ -66,12 +107,7 @@ def coasts_clear(field: GeodesicField, states: Float[np.ndarray, "N 6"], n: floa
 
 def transitions(n: float) -> Float[np.ndarray, "T 3 6"]:
     """From a state in the station frame to the positions every `SAMPLE` seconds, from now on."""
-    times = np.arange(0.0, COAST + SAMPLE / 2, SAMPLE)
-    with jax.enable_x64(True):
-        rtn = np.asarray(jax.vmap(lambda t: stm_hcw(jnp.asarray(n), t))(jnp.asarray(times)))
-    # Station axes x = N, y = -T, z = R.
-    turn = np.array([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]])
-    return (turn.T @ rtn[:, :3] @ np.kron(np.eye(2), turn)).astype(np.float32)
+    return drift_matrices(n, np.arange(0.0, COAST + SAMPLE / 2, SAMPLE))
 
 
 @jax.jit
@@ -85,3 +121,8 @@ def _clear(field, transition: Float[Array, "T 3 6"], states: Float[Array, "B 6"]
         return jnp.all(jnp.minimum(least, jnp.minimum(gap[1:], gap[:-1])) > MARGIN)
 
     return jax.vmap(one)(states)
+
+
+@jax.jit
+def _gaps(field, positions: Float[Array, "B 3"]) -> Float[Array, "B"]:
+    return jax.vmap(clearance, (None, 0))(field, positions)

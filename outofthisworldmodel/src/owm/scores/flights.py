@@ -27,6 +27,9 @@ RANGES: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0)
 """m to the hold pose, between which speeds are pooled."""
 
 
+_NEAR_AND_FAR = ("instants_far", "instants_far_safe", "instants_avoidable")
+
+
 class ContactLimits(NamedTuple):
     """What a port asks of a vehicle at contact: m/s, m, rad, rad/s."""
 
@@ -86,6 +89,11 @@ class Flights:
     instants: Int[np.ndarray, "N"] | None = None
     instants_safe: Int[np.ndarray, "N"] | None = None
     """Instants 2 s apart, and those of them from which coasting stays clear of the hull (`coasting.add_coasts`)."""
+    instants_far: Int[np.ndarray, "N"] | None = None
+    instants_far_safe: Int[np.ndarray, "N"] | None = None
+    """Those beyond 10 m of the hull, and those of them that are clear."""
+    instants_avoidable: Int[np.ndarray, "N"] | None = None
+    """Those nearer from which an impulse of at most 1 m/s leads clear, whichever one of six directions fails."""
 
     def __len__(self) -> int:
         return len(self.port)
@@ -124,6 +132,7 @@ class Flights:
                 "angular_impulse": float(self.angular_impulse[i]),
                 "instants": "" if self.instants is None else int(self.instants[i]),
                 "instants_safe": "" if self.instants_safe is None else int(self.instants_safe[i]),
+                **{name: "" if getattr(self, name) is None else int(getattr(self, name)[i]) for name in _NEAR_AND_FAR},
                 "digest": str(self.digest[i]),
             }
             for i in range(len(self))
@@ -204,6 +213,20 @@ def within_contact_limits(flights: Flights, *, least_closing: bool = True) -> Bo
     return met & ~flights.collided
 
 
+def far_safe_share(flights: Flights) -> float | None:
+    """Share of the instants beyond 10 m of the hull from which coasting stays clear; None where not looked at."""
+    if flights.instants_far is None or not flights.instants_far.sum():
+        return None
+    return float(flights.instants_far_safe.sum() / flights.instants_far.sum())
+
+
+def avoidable_share(flights: Flights) -> float | None:
+    """Share of the instants nearer than that from which a small impulse leads clear; None where not looked at."""
+    if flights.instants_far is None or not (near := (flights.instants - flights.instants_far).sum()):
+        return None
+    return float(flights.instants_avoidable.sum() / near)
+
+
 def safe_share(flights: Flights) -> float | None:
     """Share of all instants from which coasting stays clear of the hull; None where it was not looked at."""
     if flights.instants is None or not flights.instants.sum():
@@ -226,7 +249,7 @@ def score(flights: Flights) -> dict[str, Any]:
         `success`: one entry per definition, named like "1 m full voided"; `collision`, `escape`, `timeout`,
         `docked`, `idss`, `idss_or_slower`: rates as `rate` gives them; `median_time` s, `median_delta_v` m/s and
         `median_angular_impulse` N m s of flights within 1 m with no collision (None without any); `least_clearance`
-        m; `safe_share` of instants (None where not looked at).
+        m; `safe_share`, `far_safe_share`, `avoidable_share` of instants (None where not looked at).
     """
     good = succeeded(flights, 1.0)
     return {
@@ -244,6 +267,8 @@ def score(flights: Flights) -> dict[str, Any]:
         "median_delta_v": float(np.median(flights.delta_v[good])) if good.any() else None,
         "median_angular_impulse": float(np.median(flights.angular_impulse[good])) if good.any() else None,
         "safe_share": safe_share(flights),
+        "far_safe_share": far_safe_share(flights),
+        "avoidable_share": avoidable_share(flights),
         "least_clearance": float(np.min(flights.clearance)) if len(flights) else None,
     }
 

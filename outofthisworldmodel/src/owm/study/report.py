@@ -296,8 +296,9 @@ def _write_csv(flown: Flown, out: Path) -> Path:
                         **{name.replace(" ", "_"): numbers["count"] for name, numbers in success.items()},
                         **{k: scores[k]["count"]
                            for k in ("collision", "escape", "timeout", "docked", "idss", "idss_or_slower")},
-                        **{k: _rounded(scores[k]) for k in ("safe_share", "median_time", "median_delta_v",
-                                                            "median_angular_impulse", "least_clearance")},
+                        **{k: _rounded(scores[k])
+                           for k in ("safe_share", "far_safe_share", "avoidable_share", "median_time", "median_delta_v",
+                                     "median_angular_impulse", "least_clearance")},
                     }
                 )  # fmt: skip
     path = out / "results.csv"

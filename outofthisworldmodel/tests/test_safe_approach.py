@@ -1,0 +1,62 @@
+"""Flights that an operator would accept: coasts that clear the hull, ways out, contact at the standard's rates."""
+
+import numpy as np
+import pytest
+
+from owm.scores.coasting import add_coasts, impulse_clears
+from owm.scores.docking import evaluation_config, fly_episodes, trials
+from owm.scores.flights import (
+    Flights,
+    avoidable_share,
+    far_safe_share,
+    safe_share,
+    score,
+    succeeded,
+    within_contact_limits,
+)
+from owm_envs.field import load_field
+from owm_envs.policies import VectorPolicy, make_policy
+
+N = 1.127e-3  # rad/s
+
+
+@pytest.fixture(scope="module")
+def flown() -> Flights:
+    config = evaluation_config(fidelity="iss-hcw")
+    seeds, ports = trials(per_port=1, seed=77)
+    flights = fly_episodes(VectorPolicy(make_policy("dock-safe", config)), config, seeds, ports)
+    return add_coasts(flights, load_field())
+
+
+def test_it_docks_at_the_standards_rates_at_every_port(flown):
+    assert succeeded(flown, 0.1, full=True).all()
+    assert within_contact_limits(flown).all()
+    assert flown.time.max() < 240.0
+
+
+def test_beyond_ten_metres_a_coast_clears_the_hull_and_nearer_an_impulse_does(flown):
+    assert flown.instants_far.sum() > 300
+    assert far_safe_share(flown) > 0.98
+    assert avoidable_share(flown) > 0.95
+    assert 0.6 < safe_share(flown) < far_safe_share(flown), "who closes in near the hull does drift into it"
+    assert score(flown)["far_safe_share"] == far_safe_share(flown)
+
+
+def test_flights_of_before_have_no_such_shares(flown):
+    values = {name: getattr(flown, name) for name in Flights.__dataclass_fields__}
+    older = Flights(**values | dict.fromkeys(("instants_far", "instants_far_safe", "instants_avoidable")))
+    assert far_safe_share(older) is avoidable_share(older) is None
+    assert older.rows()[0]["instants_far"] == ""
+
+
+def test_two_of_six_impulses_must_lead_away():
+    below = [0.23, 0.17, -60.0]
+    states = np.array(
+        [
+            [*below, 0, 0, 0.1],  # slow, far below: whatever is pushed aside clears
+            [*below, 0, 0, 3.0],  # too fast for any impulse of 1 m/s
+            [0.19, -24.5, -3.34, 0, 0.078, 0],  # at contact
+        ],
+        np.float32,
+    )
+    assert impulse_clears(load_field(), states, N).tolist() == [True, False, True]
