@@ -151,7 +151,7 @@ def _shifted(epoch: Epoch, amount: float, scale: Scale) -> Epoch:
 def _normalized(day: FloatScalar, seconds: FloatScalar, rest: FloatScalar, scale: Scale) -> Epoch:
     """Whole days carried out of the seconds, which come to lie in [0, 86400)."""
     carry = jnp.floor(seconds / c.SECONDS_PER_DAY)
-    seconds, rest = two_part_sum(seconds - carry * c.SECONDS_PER_DAY, rest, 0.0)
+    seconds, rest = two_part_sum(seconds, rest, -carry * c.SECONDS_PER_DAY)
     # Rounding may leave the seconds a little outside.
     early = (seconds < 0.0) | ((seconds == 0.0) & (rest < 0.0))
     late = seconds >= c.SECONDS_PER_DAY

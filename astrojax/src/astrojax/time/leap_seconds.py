@@ -86,6 +86,21 @@ def tai_minus_utc(day: Scalar, seconds: Scalar) -> FloatScalar:
     return offset + jnp.asarray(seconds, dtype) * (drift / c.SECONDS_PER_DAY)
 
 
+def tai_minus_utc_of_days(days: np.ndarray) -> np.ndarray:
+    """TAI - UTC [s] at the start of UTC days, on the host and in double precision whatever JAX's setting.
+
+    Args:
+        days: whole MJD, from 1960 on.
+
+    Raises:
+        ValueError: a day is before the table.
+    """
+    line = np.searchsorted(LEAP_SECOND_DAYS, days, side="right") - 1
+    if np.any(line < 0):
+        raise ValueError(f"days: expected MJD {LEAP_SECOND_DAYS[0]} (1960) or later, got {np.min(days)}")
+    return TAI_MINUS_UTC_TABLE[line] + (days - _REFERENCE[line]) * _DRIFT[line]
+
+
 def utc_status(day: Scalar) -> Int[Array, ""]:
     """Whether TAI - UTC is known on a day: 0 it is, 1 before 1960, 2 after the table's end (a leap second may come).
 
