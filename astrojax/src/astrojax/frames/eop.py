@@ -121,7 +121,8 @@ class EOP:
         day = np.asarray(day, float)
         if day.size and (day.min() < int(self.first_day) or day.max() > last):
             raise ValueError(
-                f"day: expected MJD {int(self.first_day)} to {last}, which the table holds, got {day.min()} to {day.max()}"
+                f"day: expected MJD {int(self.first_day)} to {last}, which the table holds, "
+                f"got {day.min()} to {day.max()}"
             )
 
 

@@ -99,9 +99,7 @@ def _rows(days: list[float], rows: list[list[float]], measured: int) -> Rows:
     steps = np.diff(days)
     if np.any(steps != 1.0) or days[0] != round(days[0]):
         where = int(np.argmax(steps != 1.0)) if np.any(steps != 1.0) else 0
-        raise ValueError(
-            f"text: expected a row for each day, got MJD {days[where]} before {days[min(where + 1, len(days) - 1)]}"
-        )
+        raise ValueError(f"text: expected a row for each day, got MJD {days[where : where + 2]}")
     columns = np.array(rows)
     columns[:, 2] -= tai_minus_utc_of_days(np.array(days))
     for column in (3, 4):

@@ -119,7 +119,7 @@ def _equation_of_origins(angles, m: Matrix3) -> FloatScalar:
 def rotation_gcrf_to_itrf_equinox(
     day: Scalar, seconds: Scalar, orientation: EarthOrientation | None = None, terms: int = ALL_TERMS
 ) -> Matrix3:
-    """Rotation matrix from GCRF to ITRF by the equinox: the same rotation as `rotation_gcrf_to_itrf`, on the older path.
+    """Rotation matrix from GCRF to ITRF by the equinox: the rotation of `rotation_gcrf_to_itrf` on the older path.
 
     The correction dX, dY of the pole, which belongs to the other path, is turned into one of the nutation's matrix.
 

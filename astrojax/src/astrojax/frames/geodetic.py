@@ -1,5 +1,6 @@
 """Positions on and above the WGS84 ellipsoid: latitude, longitude and height, both ways."""
 
+import jax
 import jax.numpy as jnp
 
 from astrojax._types import FloatScalar, Vector3, dot, inverse_norm, safe_sqrt
@@ -52,25 +53,25 @@ def position_ecef_to_geodetic(r: Vector3) -> Vector3:
     Returns:
         (3,) latitude in [-pi/2, pi/2], longitude in [-pi, pi] (0 on the axis), height.
 
-    Validity: from 1000 km below the surface outwards without limit, at all latitudes, the poles included: 1e-8 m and
+    Validity: from 5000 km below the surface outwards without limit, at all latitudes, the poles included: 1e-8 m and
     4e-15 rad there and back (float32: 1 m, 3e-7 rad). Nearer than 43 km from the centre the nearest point of the
     ellipsoid is not unique; the result is then finite, but not a position.
 
-    Source: Fukushima 2006, J. Geodesy 79, 689: Halley's method for the tangent of the reduced latitude, kept as sine and
-    cosine; three steps, of which two suffice from the surface on.
+    Source: Fukushima 2006, J. Geodesy 79, 689: Halley's method for the tangent of the reduced latitude, kept as sine
+    and cosine; three steps, of which two suffice from the surface on.
     """
     x, y, z = r / WGS84_A
     p = safe_sqrt(x * x + y * y)
     high = jnp.abs(z)
     pole = _FLAT * high
-    sine, cosine = _unit(high, _FLAT * p)
+    sine, cosine = _unit(high, _FLAT * p, jnp.zeros_like(p), jnp.ones_like(p))
     for _ in range(3):
         # f(T) = P T - Z - E T / sqrt(1 + T^2), its derivatives, and the step, all times powers of the cosine.
         d = pole + _E2 * sine**3
         f = p - _E2 * cosine**3
         b = 1.5 * _E2 * sine * cosine * cosine * (p * sine - pole * cosine - _E2 * sine * cosine)
-        sine, cosine = _unit(d * f - b * sine, f * f - b * cosine)
-    sine, cosine = _unit(sine, _FLAT * cosine)  # from the reduced to the geodetic latitude
+        sine, cosine = _unit(d * f - b * sine, f * f - b * cosine, sine, cosine)
+    sine, cosine = _unit(sine, _FLAT * cosine, sine, cosine)  # from the reduced to the geodetic latitude
     height = p * cosine + high * sine - jnp.sqrt(1.0 - _E2 * sine * sine)
     latitude = jnp.where(z < 0.0, -1.0, 1.0) * jnp.arctan2(sine, cosine)
     off_axis = p > _TINY / WGS84_A
@@ -78,12 +79,12 @@ def position_ecef_to_geodetic(r: Vector3) -> Vector3:
     return jnp.stack([latitude, longitude, WGS84_A * height])
 
 
-def _unit(sine: FloatScalar, cosine: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
-    """Two numbers scaled to a sine and a cosine; at the centre, where both are zero, those of the equator."""
+def _unit(sine: FloatScalar, cosine: FloatScalar, *otherwise: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
+    """Two numbers scaled to a sine and a cosine; where both vanish, at the centre or on the axis, the others."""
     square = sine * sine + cosine * cosine
-    centre = square <= 0.0
-    scale = 1.0 / jnp.sqrt(jnp.where(centre, 1.0, square))
-    return sine * scale, jnp.where(centre, 1.0, cosine * scale)
+    none = square <= jnp.finfo(square.dtype).tiny
+    scale = jax.lax.rsqrt(jnp.where(none, 1.0, square))
+    return jnp.where(none, otherwise[0], sine * scale), jnp.where(none, otherwise[1], cosine * scale)
 
 
 def position_ecef_to_geocentric(r: Vector3) -> Vector3:

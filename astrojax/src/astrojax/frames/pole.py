@@ -102,7 +102,7 @@ class PoleTable:
     def at(self, day: Scalar, seconds: Scalar) -> CelestialPole:
         """Pole at a UTC epoch (whole MJD, seconds of day [s]), by Lagrange's formula through ten nodes.
 
-        Validity: inside the span, within 1e-14 rad of the series at the default step of half a day; `status` says when outside.
+        Validity: within 1e-14 rad of the series at the default step of half a day; `status` says when outside.
         """
         dtype = float_dtype(day, seconds)
         nodes = jnp.asarray(self.nodes)

@@ -118,7 +118,7 @@ def _polynomial(coefficients, t):
 
 
 def _arguments(t: FloatScalar) -> Float[Array, "18"]:
-    """The 18 fundamental arguments [turns], each within half a turn: five, four of the planetary theory, planets, p_A."""
+    """The 18 fundamental arguments [turns]: Delaunay's five, the planetary theory's four, the planets, p_A."""
     delaunay = jnp.stack([_polynomial(row, t) for row in _DELAUNAY / 1296000.0])
     linear = jnp.stack([_polynomial(row, t) for row in _LINEAR / _TURN])
     turns = jnp.concatenate([delaunay, linear])
@@ -143,7 +143,7 @@ def _sums(t: FloatScalar, terms: int) -> tuple[FloatScalar, ...]:
 
 
 def _sine_and_cosine(turns: Float[Array, "N"]) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
-    """Sine and cosine of angles in turns, to 5e-15: polynomials, which vectorise where the library's functions do not."""
+    """Sine and cosine of angles in turns, to 5e-15: polynomials, which vectorise where a library's call does not."""
     half = math.pi * (turns - jnp.round(turns))  # half the angle, within a right angle of zero
     square = half * half
     sine = half * _polynomial([(-1.0) ** k / math.factorial(2 * k + 1) for k in range(10)], square)

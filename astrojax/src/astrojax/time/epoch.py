@@ -51,7 +51,7 @@ class Epoch:
         return (_tai(self, None) + seconds).to("utc")
 
     def __sub__(self, other):
-        """Seconds since another epoch of any scale but UT1 (of UT1 if both are), or the epoch so many seconds before."""
+        """Seconds since another epoch (of UT1 if both are in UT1, else not of it), or the epoch so much earlier."""
         if not isinstance(other, Epoch):
             return self + -other
         seconds, rest = self.since(other)
