@@ -28,7 +28,7 @@ from astrojax.frames.geodetic import (
     position_geodetic_to_ecef,
 )
 from astrojax.frames.pole import CelestialPole, PoleSeries, PoleTable, celestial_pole, pole_table
-from astrojax.frames.precession import ALL_TERMS, centuries_tt, pole_angles
+from astrojax.frames.precession import ALL_TERMS, pole_angles
 from astrojax.frames.rtn import (
     covariance_eci_to_rtn,
     covariance_rtn_to_eci,
@@ -83,7 +83,6 @@ __all__ = [
     "azimuth_elevation_range",
     "azimuth_elevation_range_to_enu",
     "celestial_pole",
-    "centuries_tt",
     "covariance_eci_to_rtn",
     "covariance_rtn_to_eci",
     "enu_to_azimuth_elevation_range",

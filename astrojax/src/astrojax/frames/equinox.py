@@ -7,9 +7,9 @@ from astrojax import constants as c
 from astrojax._types import FloatScalar, Matrix3, Scalar, Vector6, float_dtype
 from astrojax.frames._turns import turn_z
 from astrojax.frames.eop import EarthOrientation
-from astrojax.frames.precession import _FUKUSHIMA_WILLIAMS, ALL_TERMS, centuries_tt, equator_matrix, pole_angles
+from astrojax.frames.precession import _FUKUSHIMA_WILLIAMS, ALL_TERMS, equator_matrix, pole_angles
 from astrojax.frames.terrestrial import orientation_in, rotation_tirs_to_itrf
-from astrojax.time import earth_rotation_angle
+from astrojax.time import centuries_tt, earth_rotation_angle
 
 
 def _bias() -> np.ndarray:

@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Scalar, float_dtype
-from astrojax.frames.precession import ALL_TERMS, centuries_tt, pole_angles
-from astrojax.time import tai_minus_utc
+from astrojax.frames.precession import ALL_TERMS, pole_angles
+from astrojax.time import centuries_tt, tai_minus_utc
 
 POLE_INSIDE, POLE_OUTSIDE = 0, 1
 

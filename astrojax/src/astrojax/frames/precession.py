@@ -13,7 +13,6 @@ from jaxtyping import Array, Float
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Matrix3, Scalar, float_dtype
 from astrojax.frames._turns import turn_x, turn_z
-from astrojax.time import tai_minus_utc
 
 ALL_TERMS = 1322
 """Terms of the whole series: nutation IAU 2000A (1365) and the locator's, those of equal argument joined."""
@@ -70,19 +69,6 @@ class Angles(NamedTuple):
 def _series() -> dict[str, np.ndarray]:
     with resources.files("astrojax.frames").joinpath("data/iau2006.npz").open("rb") as file:
         return {name: array.astype(np.float64) for name, array in np.load(file).items()}
-
-
-def centuries_tt(day: Scalar, seconds: Scalar) -> FloatScalar:
-    """Julian centuries of TT since J2000.0 of a UTC epoch, by the table of leap seconds.
-
-    Args:
-        day: whole MJD, UTC.
-        seconds: seconds of day [s], UTC.
-    """
-    dtype = float_dtype(day, seconds)
-    seconds = jnp.asarray(seconds, dtype) + (tai_minus_utc(day, seconds).astype(dtype) + c.TT_MINUS_TAI)
-    days = (jnp.asarray(day) - 51544).astype(dtype)
-    return (days + (seconds / c.SECONDS_PER_DAY - 0.5)) / c.DAYS_PER_CENTURY
 
 
 def pole_angles(t: Scalar, terms: int = ALL_TERMS) -> Angles:

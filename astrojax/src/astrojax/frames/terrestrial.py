@@ -12,8 +12,7 @@ from astrojax._types import FloatScalar, Matrix3, Scalar, Vector6, float_dtype
 from astrojax.frames._turns import turn_x, turn_y, turn_z
 from astrojax.frames.eop import EarthOrientation
 from astrojax.frames.pole import CelestialPole, PoleModel, PoleSeries
-from astrojax.frames.precession import centuries_tt
-from astrojax.time import earth_rotation_angle
+from astrojax.time import centuries_tt, earth_rotation_angle
 
 _SERIES = PoleSeries()
 

@@ -181,3 +181,16 @@ def tai_from_utc(day: Scalar, seconds: Scalar) -> tuple[FloatScalar, FloatScalar
     """
     dtype = float_dtype(day, seconds)
     return normalize_epoch(day, jnp.asarray(seconds, dtype) + tai_minus_utc(day, seconds))
+
+
+def centuries_tt(day: Scalar, seconds: Scalar) -> FloatScalar:
+    """Julian centuries of TT since J2000.0 of a UTC epoch, by the table of leap seconds.
+
+    Args:
+        day: whole MJD, UTC.
+        seconds: seconds of day [s], UTC.
+    """
+    dtype = float_dtype(day, seconds)
+    seconds = jnp.asarray(seconds, dtype) + (tai_minus_utc(day, seconds).astype(dtype) + c.TT_MINUS_TAI)
+    days = (jnp.asarray(day) - 51544).astype(dtype)
+    return (days + (seconds / c.SECONDS_PER_DAY - 0.5)) / c.DAYS_PER_CENTURY
