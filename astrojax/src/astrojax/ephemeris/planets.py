@@ -1,11 +1,11 @@
 """Approximate positions of the planets: Keplerian elements that change linearly with time.
 
 Two tables, each fitted to JPL's ephemerides over its interval: "1800-2050", and "3000BC-3000AD" with a few more terms
-of the mean anomaly. Geometric positions (no light time, no aberration) in EME2000, the mean equator and equinox of J2000.
+of the mean anomaly. Positions are geometric (no light time, no aberration), in EME2000, the mean equator and equinox of
+J2000.
 """
 
 import math
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,7 @@ from astrojax._types import Scalar, Vector3, Vector6, float_dtype
 from astrojax.ephemeris.sun_moon import moon_position
 from astrojax.time import centuries_tt, phase, tai_minus_utc
 
-Planet = Literal["mercury", "venus", "emb", "earth", "mars", "jupiter", "saturn", "uranus", "neptune", "pluto"]
-PLANETS: tuple[Planet, ...] = (
+PLANETS = (
     "mercury", "venus", "emb", "earth", "mars", "jupiter", "saturn", "uranus", "neptune", "pluto",
 )  # fmt: skip
 """Bodies of the tables; "emb" is the barycentre of Earth and Moon, from which "earth" is found."""
@@ -118,9 +117,7 @@ _OBLIQUITY = math.radians(23.43928)  # of the tables' own description
 _EARTH_OVER_MOON = 81.30056822149722  # DE440 (Park et al. 2021)
 
 
-def planet_position(
-    body: Planet, day: Scalar, seconds: Scalar, table: Literal["1800-2050", "3000BC-3000AD"] = "1800-2050"
-) -> Vector3:
+def planet_position(body: str, day: Scalar, seconds: Scalar, table: str = "1800-2050") -> Vector3:
     """Heliocentric position of a planet [m], EME2000.
 
     Args:
@@ -153,7 +150,7 @@ def planet_position(
     return position
 
 
-def planet_status(day: Scalar, table: Literal["1800-2050", "3000BC-3000AD"] = "1800-2050") -> Int[Array, ""]:
+def planet_status(day: Scalar, table: str = "1800-2050") -> Int[Array, ""]:
     """Whether an epoch is inside a table's interval: 0 it is, 1 before it, 2 after it.
 
     Args:
@@ -170,9 +167,7 @@ def planet_status(day: Scalar, table: Literal["1800-2050", "3000BC-3000AD"] = "1
     return jnp.where(day < first, 1, jnp.where(day > last, 2, 0)).astype(jnp.int32)
 
 
-def planet_state(
-    body: Planet, day: Scalar, seconds: Scalar, table: Literal["1800-2050", "3000BC-3000AD"] = "1800-2050"
-) -> Vector6:
+def planet_state(body: str, day: Scalar, seconds: Scalar, table: str = "1800-2050") -> Vector6:
     """Heliocentric position and velocity of a planet [m, m/s], EME2000: the velocity is the position's derivative.
 
     Args:
@@ -186,9 +181,7 @@ def planet_state(
     return jnp.concatenate(jax.jvp(at, (seconds,), (jnp.ones((), dtype),)))
 
 
-def planet_position_geocentric(
-    body: Planet, day: Scalar, seconds: Scalar, table: Literal["1800-2050", "3000BC-3000AD"] = "1800-2050"
-) -> Vector3:
+def planet_position_geocentric(body: str, day: Scalar, seconds: Scalar, table: str = "1800-2050") -> Vector3:
     """Geocentric position of a planet [m], EME2000, geometric.
 
     Args:

@@ -1,7 +1,7 @@
 """Kernels of NAIF's SPICE: positions of bodies as Chebyshev series, read with NumPy and evaluated under `jit`.
 
-`read_spk` takes a `.bsp` file, such as JPL's DE440, into a `Kernel`: a pytree whose segments of types 2 (position) and 3
-(position and velocity) are arrays. It brings no kernel along: https://ssd.jpl.nasa.gov/ftp/eph/planets/bsp has them.
+`read_spk` takes a `.bsp` file, such as JPL's DE440, into a `Kernel`: a pytree whose segments of types 2 (position) and
+3 (position and velocity) are arrays. It brings no kernel along: https://ssd.jpl.nasa.gov/ftp/eph/planets/bsp has them.
 Times are TDB; positions are in the kernel's axes, which are those of ICRF for JPL's planets.
 """
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, ArrayLike, Float, Int, Real, Shaped
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Scalar, Vector3, Vector6, float_dtype
@@ -36,10 +36,10 @@ class Segment:
         start, end: span that the file declares [s since J2000.0, TDB]; the records may reach farther; static.
     """
 
-    coefficients: Float[Array | np.ndarray, "N components terms"]
-    first_day: Scalar
-    first_seconds: Scalar
-    record: Scalar
+    coefficients: Float[Array | np.ndarray, "*B N components terms"]
+    first_day: Real[ArrayLike, "..."]
+    first_seconds: Real[ArrayLike, "..."]
+    record: Real[ArrayLike, "..."]
     target: int = dataclasses.field(metadata={"static": True})
     center: int = dataclasses.field(metadata={"static": True})
     frame: int = dataclasses.field(metadata={"static": True})

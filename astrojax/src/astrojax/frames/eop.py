@@ -4,12 +4,12 @@ import dataclasses
 import functools
 from importlib import resources
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Real
+from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Scalar, float_dtype
@@ -63,11 +63,11 @@ class EOP:
         measured: rows that are measured; the rest is predicted.
     """
 
-    columns: Real[Array | np.ndarray, "N 6"]
-    first_day: Scalar
-    measured: Scalar
+    columns: Real[Array | np.ndarray, "*B N 6"]
+    first_day: Real[ArrayLike, "..."]
+    measured: Real[ArrayLike, "..."]
 
-    def at(self, day: Scalar, seconds: Scalar, method: Literal["lagrange", "linear"] = "lagrange") -> EarthOrientation:
+    def at(self, day: Scalar, seconds: Scalar, method: str = "lagrange") -> EarthOrientation:
         """Orientation at a UTC epoch, interpolated.
 
         Args:

@@ -1,12 +1,12 @@
 """The celestial intermediate pole and origin: X, Y and s, summed from the series or looked up in a table made of it."""
 
 import dataclasses
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, ArrayLike, Float, Int, Real
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Scalar, float_dtype
@@ -31,6 +31,7 @@ class CelestialPole(NamedTuple):
     status: Int[Array, ""]
 
 
+@runtime_checkable
 class PoleModel(Protocol):
     """What gives the celestial pole at a UTC epoch."""
 
@@ -95,8 +96,8 @@ class PoleTable:
         step: days between nodes; static.
     """
 
-    nodes: Float[Array | np.ndarray, "N 3"]
-    first_day: Scalar
+    nodes: Float[Array | np.ndarray, "*B N 3"]
+    first_day: Real[ArrayLike, "..."]
     step: float = dataclasses.field(metadata={"static": True})
 
     def at(self, day: Scalar, seconds: Scalar) -> CelestialPole:

@@ -7,7 +7,7 @@ from fractions import Fraction
 import jax
 import numpy as np
 
-from astrojax.time.epoch import SCALES, Epoch, Scale
+from astrojax.time.epoch import SCALES, Epoch
 from astrojax.time.leap_seconds import utc_day_length
 
 _MJD_OF_ORDINAL_ZERO = -678576
@@ -16,7 +16,7 @@ _ISO = re.compile(
 )
 
 
-def epoch_from_iso(text: str, scale: Scale = "utc", dtype: np.typing.DTypeLike | None = None) -> Epoch:
+def epoch_from_iso(text: str, scale: str = "utc", dtype: np.typing.DTypeLike | None = None) -> Epoch:
     """Epoch of ISO 8601 text such as "2016-12-31T23:59:60.123456789Z".
 
     Args:
@@ -80,7 +80,7 @@ def epoch_to_iso(epoch: Epoch, digits: int = 9) -> str:
 
 
 def epoch_from_datetime(
-    when: _datetime.datetime, scale: Scale = "utc", dtype: np.typing.DTypeLike | None = None
+    when: _datetime.datetime, scale: str = "utc", dtype: np.typing.DTypeLike | None = None
 ) -> Epoch:
     """Epoch of a datetime; without a time zone it is read in `scale`.
 
@@ -120,11 +120,11 @@ def _day_length(day: int) -> Fraction:
     return Fraction(round(float(utc_day_length(np.float64(day))) * 10**6), 10**6)
 
 
-def _limit(scale: Scale, day: int) -> Fraction:
+def _limit(scale: str, day: int) -> Fraction:
     return _day_length(day) if scale == "utc" else Fraction(86400)
 
 
-def _epoch(day: int, seconds: Fraction, scale: Scale, dtype) -> Epoch:
+def _epoch(day: int, seconds: Fraction, scale: str, dtype) -> Epoch:
     dtype = np.dtype(jax.dtypes.canonicalize_dtype(float) if dtype is None else dtype)
     high = dtype.type(float(seconds))
     return Epoch(dtype.type(day), high, dtype.type(float(seconds - Fraction(float(high)))), scale)

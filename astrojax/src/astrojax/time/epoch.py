@@ -5,10 +5,10 @@ float32, where one part alone would resolve 8 ms.
 """
 
 import dataclasses
-from typing import Literal
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import ArrayLike, Float
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Scalar, float_dtype
@@ -16,8 +16,7 @@ from astrojax.time.leap_seconds import _offset, _utc_from_tai
 from astrojax.time.tdb import tdb_minus_tt
 from astrojax.time.two_parts import two_part_sum
 
-Scale = Literal["utc", "tai", "tt", "ut1", "tdb", "gps"]
-SCALES: tuple[Scale, ...] = ("utc", "tai", "tt", "ut1", "tdb", "gps")
+SCALES = ("utc", "tai", "tt", "ut1", "tdb", "gps")
 _TAI_PLUS = {"tai": 0.0, "tt": c.TT_MINUS_TAI, "gps": -19.0}
 """Scales a constant number of seconds from TAI (GPS time: IS-GPS-200, at its epoch of 1980)."""
 
@@ -37,17 +36,18 @@ class Epoch:
     counts leap seconds. Make one with `epoch`, `epoch_from_iso` or `epoch_from_datetime`.
     """
 
-    day: FloatScalar
-    seconds: FloatScalar
-    rest: FloatScalar
-    scale: Scale = dataclasses.field(default="utc", metadata={"static": True})
+    day: Float[ArrayLike, "..."]
+    seconds: Float[ArrayLike, "..."]
+    rest: Float[ArrayLike, "..."]
+    scale: str = dataclasses.field(default="utc", metadata={"static": True})
 
-    def __add__(self, seconds: Scalar) -> "Epoch":
+    def __add__(self, seconds) -> "Epoch":
         """The epoch `seconds` later, in the same scale: atomic seconds, in UT1 seconds of UT1."""
         if isinstance(seconds, Epoch):
             raise TypeError("two epochs cannot be added; seconds can be added to one")
         if self.scale != "utc":
-            return _normalized(self.day, *two_part_sum(self.seconds, self.rest, seconds), self.scale)
+            day, high, low = _arrays(self)
+            return _normalized(day, *two_part_sum(high, low, seconds), self.scale)
         return (_tai(self, None) + seconds).to("utc")
 
     def __sub__(self, other):
@@ -66,13 +66,14 @@ class Epoch:
         a, b = self, other
         if a.scale != b.scale or a.scale == "utc":
             a, b = _tai(a, None), _tai(b, None)
-        days = a.day - b.day
+        (day, high, low), (day_b, high_b, low_b) = _arrays(a), _arrays(b)
+        days = day - day_b
         # 86400 times up to 2^14 days is exact even in float32; whole multiples of 2^14 are so too.
         many = jnp.round(days / 16384.0) * 16384.0
-        total, rest = two_part_sum(a.seconds - b.seconds, a.rest - b.rest, (days - many) * c.SECONDS_PER_DAY)
+        total, rest = two_part_sum(*_difference(high, low, high_b, low_b), (days - many) * c.SECONDS_PER_DAY)
         return two_part_sum(total, rest, many * c.SECONDS_PER_DAY)
 
-    def to(self, scale: Scale, ut1_minus_tai: Scalar | None = None) -> "Epoch":
+    def to(self, scale: str, ut1_minus_tai: Scalar | None = None) -> "Epoch":
         """The same instant in another scale.
 
         Args:
@@ -101,7 +102,7 @@ class Epoch:
         return _shifted(tai, _TAI_PLUS[scale], scale)
 
 
-def epoch(day: Scalar, seconds: Scalar, scale: Scale = "utc") -> Epoch:
+def epoch(day: Scalar, seconds: Scalar, scale: str = "utc") -> Epoch:
     """An epoch from whole days and seconds of the day.
 
     Args:
@@ -120,6 +121,17 @@ def epoch(day: Scalar, seconds: Scalar, scale: Scale = "utc") -> Epoch:
     return Epoch(day, seconds, rest, scale) if scale == "utc" else _normalized(day, seconds, rest, scale)
 
 
+def _arrays(epoch: Epoch) -> tuple[FloatScalar, FloatScalar, FloatScalar]:
+    """Its three numbers as arrays: an epoch made on the host has NumPy's."""
+    return jnp.asarray(epoch.day), jnp.asarray(epoch.seconds), jnp.asarray(epoch.rest)
+
+
+def _difference(a: FloatScalar, a_rest: FloatScalar, b: FloatScalar, b_rest: FloatScalar):
+    """Difference of two numbers in two parts."""
+    high, low = two_part_sum(a, a_rest, -b)
+    return high, low - b_rest
+
+
 def _needed(ut1_minus_tai: Scalar | None) -> Scalar:
     if ut1_minus_tai is None:
         raise ValueError("ut1_minus_tai: UT1 is no function of the other scales; give UT1 - TAI [s], got None")
@@ -129,9 +141,10 @@ def _needed(ut1_minus_tai: Scalar | None) -> Scalar:
 def _tai(epoch: Epoch, ut1_minus_tai: Scalar | None) -> Epoch:
     """An epoch of any scale in TAI."""
     if epoch.scale == "utc":
-        offset, drift = _offset(epoch.day, epoch.seconds.dtype)
-        seconds, rest = two_part_sum(epoch.seconds, epoch.rest, epoch.seconds * (drift / c.SECONDS_PER_DAY))
-        return _normalized(epoch.day, *two_part_sum(seconds, rest, offset), "tai")
+        day, seconds, rest = _arrays(epoch)
+        offset, drift = _offset(day, seconds.dtype)
+        seconds, rest = two_part_sum(seconds, rest, seconds * (drift / c.SECONDS_PER_DAY))
+        return _normalized(day, *two_part_sum(seconds, rest, offset), "tai")
     if epoch.scale == "ut1":
         return dataclasses.replace(epoch + -_needed(ut1_minus_tai), scale="tai")
     if epoch.scale == "tdb":
@@ -140,15 +153,15 @@ def _tai(epoch: Epoch, ut1_minus_tai: Scalar | None) -> Epoch:
     return _shifted(epoch, -_TAI_PLUS[epoch.scale], "tai")
 
 
-def _shifted(epoch: Epoch, amount: float, scale: Scale) -> Epoch:
+def _shifted(epoch: Epoch, amount: float, scale: str) -> Epoch:
     """An epoch a constant number of seconds later, all of the constant's digits used."""
-    dtype = epoch.seconds.dtype
-    high = float(dtype.type(amount))
-    seconds, rest = two_part_sum(epoch.seconds, epoch.rest, high)
-    return _normalized(epoch.day, *two_part_sum(seconds, rest, amount - high), scale)
+    day, seconds, rest = _arrays(epoch)
+    high = float(seconds.dtype.type(amount))
+    seconds, rest = two_part_sum(seconds, rest, high)
+    return _normalized(day, *two_part_sum(seconds, rest, amount - high), scale)
 
 
-def _normalized(day: FloatScalar, seconds: FloatScalar, rest: FloatScalar, scale: Scale) -> Epoch:
+def _normalized(day: FloatScalar, seconds: FloatScalar, rest: FloatScalar, scale: str) -> Epoch:
     """Whole days carried out of the seconds, which come to lie in [0, 86400)."""
     carry = jnp.floor(seconds / c.SECONDS_PER_DAY)
     seconds, rest = two_part_sum(seconds, rest, -carry * c.SECONDS_PER_DAY)

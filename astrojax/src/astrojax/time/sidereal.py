@@ -3,14 +3,19 @@
 import math
 from fractions import Fraction
 
+import jax
 import jax.numpy as jnp
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Scalar, float_dtype
-from astrojax.time.scales import _cycles
 
 _TURN = 2.0 * math.pi
-_EXCESS = 0.00273781191135448  # turns a day beyond the one
+_EXCESS = Fraction("0.00273781191135448")  # turns a day beyond the one
+# Its leading bits times whole days are exact, in float32 too for up to 2^14; a double's own rounding of the rate would
+# be 2e-14 rad in 2050.
+_COARSE = Fraction(round(_EXCESS * 4096), 4096)
+_FINE = float(_EXCESS - _COARSE)
+_START = float(Fraction("0.7790572732640") - Fraction(1, 2) - _EXCESS / 2)
 
 
 def earth_rotation_angle(day: Scalar, seconds: Scalar) -> FloatScalar:
@@ -26,16 +31,26 @@ def earth_rotation_angle(day: Scalar, seconds: Scalar) -> FloatScalar:
     """
     dtype = float_dtype(day, seconds)
     seconds = jnp.asarray(seconds, dtype)
-    turns = (0.7790572732640 - 0.5 - 0.5 * _EXCESS) + _cycles(day, _EXCESS, dtype)
-    turns = turns + seconds * ((1.0 + _EXCESS) / c.SECONDS_PER_DAY)
+    turns = _whole_days(day, dtype) + _START
+    turns = turns + seconds * float((1 + _EXCESS) / 86400)
     return _TURN * (turns - jnp.floor(turns))
+
+
+def _whole_days(day: Scalar, dtype: jnp.dtype) -> FloatScalar:
+    """Fraction of a turn that the excess makes in the whole days since J2000's."""
+    days = day - 51544
+    if not isinstance(days, jax.Array):  # the compiler would fold, and reassociate, the lines below
+        return jnp.asarray(float(Fraction(float(days)) * _EXCESS % 1), dtype)
+    days = days.astype(dtype)
+    exact = days * float(_COARSE)
+    return (exact - jnp.floor(exact)) + days * _FINE
 
 
 # GMST of 1982 in seconds of time: 24110.54841 + 8640184.812866 T + 0.093104 T^2 - 6.2e-6 T^3 beside UT1 of the day, T
 # in Julian centuries of UT1. Its linear part less that of the Earth rotation angle, exactly, in turns:
 _GMST82 = (
     float(Fraction("67310.54841") / 86400 - Fraction("0.7790572732640")),
-    float((Fraction("8640184.812866") / 86400) - Fraction("0.00273781191135448") * 36525),
+    float((Fraction("8640184.812866") / 86400) - _EXCESS * 36525),
     0.093104 / 86400.0,
     -6.2e-6 / 86400.0,
 )
