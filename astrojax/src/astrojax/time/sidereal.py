@@ -25,7 +25,7 @@ def earth_rotation_angle(day: Scalar, seconds: Scalar) -> FloatScalar:
         day: whole MJD, UT1.
         seconds: seconds of day [s], UT1, of any sign.
 
-    Validity: 2e-15 rad in float64, 2e-6 rad in float32.
+    Validity: 4e-15 rad in float64, 2e-6 rad in float32.
 
     Source: IERS Conventions (2010), TN 36, eq. 5.15.
     """
