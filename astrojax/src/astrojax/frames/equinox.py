@@ -129,7 +129,7 @@ def rotation_gcrf_to_itrf_equinox(
         orientation: Earth orientation.
         terms: how many terms of the series, largest first; static.
 
-    Validity: within 2e-15 of the other path; with dX, dY within 5e-12.
+    Validity: within 4e-15 of the other path; with dX, dY within 5e-12.
 
     Source: IERS Conventions (2010), TN 36, sec. 5.4.5.
     """

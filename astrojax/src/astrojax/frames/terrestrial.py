@@ -69,8 +69,8 @@ def rotation_gcrf_to_itrf(
         orientation: Earth orientation at that epoch.
         pole: how the celestial pole is found: `PoleSeries`, shorter for speed, or a `PoleTable`.
 
-    Validity: ERFA `c2t06a` to 1e-13 rad (3 um at the height of GEO) over 1962 to 2050, which is the rounding in ERFA's own
-    rotation angle; with that angle exact, to 5e-15 rad, 0.2 um. float32: 2e-6 rad.
+    Validity: ERFA `c2t06a` to 1e-13 rad over 1962 to 2050 (3 um at the height of GEO), which is the rounding in ERFA's
+    own rotation angle; with that angle exact, to 5e-15 rad, 0.2 um. float32: 2e-6 rad.
 
     Source: IERS Conventions (2010), TN 36, eq. 5.1.
     """
