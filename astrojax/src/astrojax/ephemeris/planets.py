@@ -127,11 +127,11 @@ def planet_position(body: str, day: Scalar, seconds: Scalar, table: str = "1800-
         table: "1800-2050" or "3000BC-3000AD"; static.
 
     Validity: largest error over 1800 to 2050 against ERFA `plan94` (Earth `epv00`) and JPL's DE421, in arcsec seen from
-    the Sun, and in 1e6 km of distance: Mercury 31 (0.003), Venus 28 (0.007), Earth and EMB 25 (0.009), Mars 104 (0.042),
-    Jupiter 517 (0.67), Saturn 740 (2.9), Uranus 148 (1.7), Neptune 66 (1.7), Pluto 59 (1.3, 1900 to 2050). The long table
-    over 1000 to 3000: 36 (0.003), 97 (0.018), 62 (0.021), 185 (0.08), 790 (1.4), 1470 (5.2), 1265 (8.3), 535 (5.0),
-    Pluto 230 (2.1, 1900 to 2050); before 1000 AD it is not measured. Outside its interval a table is wrong without bound:
-    `planet_status` tells. float32: 1 arcsec more.
+    the Sun, and in 1e6 km of distance: Mercury 31 (0.003), Venus 28 (0.007), Earth and EMB 25 (0.009), Mars 104
+    (0.042), Jupiter 517 (0.67), Saturn 740 (2.9), Uranus 148 (1.7), Neptune 66 (1.7), Pluto 59 (1.3, 1900 to 2050). The
+    long table over 1000 to 3000: 36 (0.003), 97 (0.018), 62 (0.021), 185 (0.08), 790 (1.4), 1470 (5.2), 1265 (8.3), 535
+    (5.0), Pluto 230 (2.1, 1900 to 2050); before 1000 AD it is not measured. Outside its interval a table is wrong
+    without bound: `planet_status` tells. float32: 1 arcsec more.
 
     Raises:
         ValueError: the body or the table is unknown.
