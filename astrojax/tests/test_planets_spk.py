@@ -15,7 +15,7 @@ from astrojax import ephemeris, time
 DATA = Path(__file__).parent / "data"
 RNG = np.random.default_rng(1800)
 NUMBERS = {b: k for k, b in enumerate((b for b in ephemeris.PLANETS if b not in ("earth", "pluto")), 1)}
-# Largest errors in arcsec from the Sun and 1e9 m of distance: short table over 1800 to 2050, long one over 1000 to 3000.
+# Largest errors in arcsec from the Sun and 1e9 m of distance: short table over 1800-2050, long one over 1000-3000.
 ERRORS = {
     "mercury": (31, 0.003, 36, 0.003),
     "venus": (28.5, 0.007, 97, 0.018),
