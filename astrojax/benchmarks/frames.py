@@ -1,4 +1,4 @@
-"""Speed of GCRF to ITRF for a batch of epochs against ERFA (C) and brahe (Rust), in one process, and how far they agree.
+"""Speed of GCRF to ITRF for a batch of epochs against ERFA (C) and brahe (Rust), in one process, and how far apart.
 
 All take Earth orientation from C04 or zero, IAU 2006/2000A. ERFA sums the whole series for each epoch, as we do with
 `PoleSeries()`; shorter series and a table of the pole are the cheaper choices. Ratios carry over between machines.
