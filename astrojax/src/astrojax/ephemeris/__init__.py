@@ -1,10 +1,28 @@
-"""Where the Sun and the Moon are, and what the Earth hides of them."""
+"""Where the Sun, the Moon and the planets are, and what the Earth hides of the Sun."""
 
 from astrojax.ephemeris.eclipse import illumination_conical
+from astrojax.ephemeris.planets import (
+    PLANETS,
+    TABLES,
+    planet_position,
+    planet_position_geocentric,
+    planet_state,
+    planet_status,
+)
+from astrojax.ephemeris.spk import Kernel, Segment, read_spk
 from astrojax.ephemeris.sun_moon import moon_position, sun_position
 
 __all__ = [
+    "PLANETS",
+    "TABLES",
+    "Kernel",
+    "Segment",
     "illumination_conical",
     "moon_position",
+    "planet_position",
+    "planet_position_geocentric",
+    "planet_state",
+    "planet_status",
+    "read_spk",
     "sun_position",
 ]

@@ -4,8 +4,11 @@ Axes: R along the position, N along the orbital angular momentum, T = N x R comp
 """
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from astrojax._types import Matrix3, Vector3, Vector6, cross, dot, inverse_norm
+
+Matrix6 = Float[Array, "6 6"]
 
 
 def rotation_eci_to_rtn(state: Vector6) -> Matrix3:
@@ -72,3 +75,59 @@ def state_rtn_to_eci(chief: Vector6, rel: Vector6, accel_chief: Vector3 | None =
     position = to_eci @ rel[:3]
     velocity = to_eci @ (rel[3:] + cross(_rate(chief, accel_chief), rel[:3]))
     return chief + jnp.concatenate([position, velocity])
+
+
+def jacobian_eci_to_rtn(state: Vector6, accel: Vector3 | None = None, *, rotating: bool = False) -> Matrix6:
+    """Derivative of the RTN components of a small deviation by its inertial ones.
+
+    Args:
+        state: (6,) inertial position and velocity of the frame's owner [m, m/s].
+        accel: (3,) its inertial acceleration [m/s^2], for the rate of a rotating frame; without it Keplerian.
+        rotating: velocities as seen from the rotating frame; else along its axes only, as the conjunction messages of
+            CCSDS 508.0 have their covariances. Static.
+
+    Returns:
+        (6, 6) matrix J: deviations are J d, covariances J P J^T.
+
+    Source: Alfriend et al., Spacecraft Formation Flying (2010), ch. 2; CCSDS 508.0-B-1, annex E.
+    """
+    rotation = rotation_eci_to_rtn(state)
+    zero = jnp.zeros_like(rotation)
+    turning = zero
+    if rotating:
+        x, y, z = _rate(state, accel)
+        none = jnp.zeros_like(x)
+        rate = jnp.stack([jnp.stack([none, -z, y]), jnp.stack([z, none, -x]), jnp.stack([-y, x, none])])
+        turning = -rate @ rotation
+    return jnp.block([[rotation, zero], [turning, rotation]])
+
+
+def covariance_eci_to_rtn(
+    state: Vector6, covariance: Matrix6, accel: Vector3 | None = None, *, rotating: bool = False
+) -> Matrix6:
+    """Covariance of position and velocity in RTN axes of one in inertial axes.
+
+    Args:
+        state: (6,) inertial position and velocity of the frame's owner [m, m/s].
+        covariance: (6, 6) in inertial axes [m^2, m^2/s, m^2/s^2].
+        accel, rotating: as in `jacobian_eci_to_rtn`.
+    """
+    jacobian = jacobian_eci_to_rtn(state, accel, rotating=rotating)
+    return jacobian @ covariance @ jacobian.T
+
+
+def covariance_rtn_to_eci(
+    state: Vector6, covariance: Matrix6, accel: Vector3 | None = None, *, rotating: bool = False
+) -> Matrix6:
+    """Covariance of position and velocity in inertial axes of one in RTN axes: the inverse of `covariance_eci_to_rtn`.
+
+    Args:
+        state: (6,) inertial position and velocity of the frame's owner [m, m/s].
+        covariance: (6, 6) in RTN axes [m^2, m^2/s, m^2/s^2].
+        accel, rotating: as in `jacobian_eci_to_rtn`.
+    """
+    forward = jacobian_eci_to_rtn(state, accel, rotating=rotating)
+    rotation, turning = forward[:3, :3], forward[3:, :3]
+    # The inverse of a block triangle whose diagonal blocks are the same rotation.
+    back = jnp.block([[rotation.T, jnp.zeros_like(rotation)], [-rotation.T @ turning @ rotation.T, rotation.T]])
+    return back @ covariance @ back.T

@@ -2,8 +2,9 @@
 
 An epoch is two numbers, the whole Modified Julian Day and the seconds of that day, in UTC. A fractional day
 in float32 would resolve six minutes only; the pair resolves 8 ms in float32 and 15 ps in float64.
-Leap seconds: TAI - UTC is the constant 37 s in force since 2017; earlier epochs are off by the difference.
-UT1 is taken as UTC, within 0.9 s (7e-5 rad of Earth rotation).
+Leap seconds: in this file TAI - UTC is the constant 37 s in force since 2017, for speed; earlier epochs are off by the
+difference. `leap_seconds` has the table, and `epoch` all scales. UT1 is taken as UTC here, within 0.9 s (7e-5 rad of
+Earth rotation); `frames.EOP` knows it, and `sidereal` takes it.
 """
 
 import datetime as _datetime
