@@ -1,33 +1,36 @@
-"""What accelerates a spacecraft, and the sum of it."""
+"""What accelerates a spacecraft, each force an object, and the sum of them."""
 
-from astrojax.forces.drag import accel_drag
-from astrojax.forces.gravity import ZONAL_DEGREES, accel_two_body, accel_zonal
+from astrojax.forces.drag import Atmosphere, Drag, HarrisPriester, accel_drag
+from astrojax.forces.environment import Environment, earth_rotation, environment_at
+from astrojax.forces.force import Force, field_difference, force, relative_acceleration, static
+from astrojax.forces.gravity import PointMass, Zonal, accel_two_body, accel_zonal
 from astrojax.forces.harris_priester import density_harris_priester
-from astrojax.forces.model import (
-    Ballistics,
-    Bodies,
-    ForceModel,
-    OrbitParams,
-    accel_gravity_and_perturbations,
-    accel_relative,
-    celestial_bodies,
-    derivative,
-)
-from astrojax.forces.third_body import accel_third_body
+from astrojax.forces.model import ForceModel
+from astrojax.forces.spacecraft import Plates, Spacecraft
+from astrojax.forces.third_body import GM_BODIES, ThirdBody, accel_third_body
 
 __all__ = [
-    "ZONAL_DEGREES",
-    "Ballistics",
-    "Bodies",
+    "GM_BODIES",
+    "Atmosphere",
+    "Drag",
+    "Environment",
+    "Force",
     "ForceModel",
-    "OrbitParams",
+    "HarrisPriester",
+    "Plates",
+    "PointMass",
+    "Spacecraft",
+    "ThirdBody",
+    "Zonal",
     "accel_drag",
-    "accel_gravity_and_perturbations",
-    "accel_relative",
     "accel_third_body",
     "accel_two_body",
     "accel_zonal",
-    "celestial_bodies",
     "density_harris_priester",
-    "derivative",
+    "earth_rotation",
+    "environment_at",
+    "field_difference",
+    "force",
+    "relative_acceleration",
+    "static",
 ]
