@@ -15,7 +15,7 @@ MODEL = forces.ForceModel(
 )
 NO_DRAG = forces.ForceModel(MODEL.forces[:-1])
 
-HOST = {"force", "static", "environment_at"}  # decorators, and what takes names
+HOST = {"force", "static", "environment_at", "gravity_field", "load_gfc", "polyhedron"}  # decorators, names, files
 
 
 def _world(dtype):
@@ -57,8 +57,78 @@ def _rotation(seconds):
     return forces.earth_rotation(61253, seconds)
 
 
+FIELD = forces.gravity_field("EGM2008", 12)
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) * [900.0, 500.0, 300.0]
+SQUARES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+BOX = forces.polyhedron(CORNERS, np.array([t for a, b, c, d in SQUARES for t in ((a, b, c), (a, c, d))]))
+
+
+def _harmonics(r, gm, radius):
+    field = forces.GravityField(gm, radius, FIELD.c, FIELD.s)
+    return forces.accel_spherical_harmonics(r, field, 12, 9)
+
+
+def _harmonics_potential(r, gm):
+    field = forces.GravityField(gm, FIELD.radius, FIELD.c, FIELD.s)
+    return forces.potential_spherical_harmonics(r, field, 5)
+
+
+def _plates(r, sun, mass, normals, areas, specular, diffuse):
+    return forces.accel_radiation_plates(r, sun, mass, forces.Plates(normals, areas, specular, diffuse))
+
+
+PLATES = (np.eye(3) * [[1], [-1], [1]], A([3.0, 4.0, 5.0]), A([0.2, 0.3, 0.1]), A([0.3, 0.4, 0.2]))
+GM, RADIUS = A(3.986e14), A(6378136.3)
+POLE = A([0.0, 0.0, 6.9e6])
+NEAR, FAR, WITHIN = A([950.0, 200.0, -100.0]), A([-900.0, 1500.0, 2000.0]), A([100.0, -200.0, 120.0])
+
+
+def _on_polyhedron(fn):
+    return lambda r, density: fn(r, BOX, density)
+
+
+SUN_WARD = SUN / np.linalg.norm(SUN)
+
+
+def _shadow(r, sun):
+    return forces.illumination_cylindrical(r, sun)
+
+
+def _solid_angle(r):
+    return 1.0 + forces.solid_angle_polyhedron(r, BOX)  # zero outside: rounding has no relative error there
+
+
 def cases(case):
     return [
+        case(
+            "accel_spherical_harmonics", _harmonics, *((r, GM, RADIUS) for r in (STATE[:3], POLE, -POLE)), rtol32=1e-5
+        ),
+        case("potential_spherical_harmonics", _harmonics_potential, *((r, GM) for r in (STATE[:3], POLE)), rtol32=1e-5),
+        case(
+            "accel_polyhedron",
+            _on_polyhedron(forces.accel_polyhedron),
+            *((r, A(2400.0)) for r in (NEAR, FAR, WITHIN)),
+            rtol32=3e-5,
+        ),
+        case(
+            "potential_polyhedron",
+            _on_polyhedron(forces.potential_polyhedron),
+            *((r, A(2400.0)) for r in (NEAR, FAR, WITHIN)),
+            rtol32=3e-5,
+        ),
+        case("accel_radiation", forces.accel_radiation, (STATE[:3], SUN, A(1e3), A(12.0), A(1.7), A(4.5e-6))),
+        case("accel_radiation_plates", _plates, (STATE[:3], SUN, A(1e3), *PLATES)),
+        case("accel_schwarzschild", forces.accel_schwarzschild, (STATE[:3], STATE[3:], GM)),
+        case("accel_lense_thirring", forces.accel_lense_thirring, (STATE[:3], STATE[3:], A([0.0, 1e8, 9.8e8]), GM)),
+        case(
+            "solid_tide_coefficients",
+            forces.solid_tide_coefficients,
+            (MOON, A(4.9e12), GM, RADIUS),
+            (SUN, A(1.327e20), GM, RADIUS),
+        ),
+        # Constant but for a jump: lit, in shadow, and beside it
+        case("illumination_cylindrical", _shadow, *((r, SUN) for r in (7e6 * SUN_WARD, -7e6 * SUN_WARD, POLE))),
+        case("solid_angle_polyhedron", _solid_angle, *((r,) for r in (NEAR, FAR, WITHIN)), rtol32=1e-5),
         case("ForceModel.accel", _accel, (STATE, A(1.2e4))),
         case("ForceModel.accel/weights", _weighted, (STATE, A(1.2e4), A([1.0, 1.0, 0.5, 0.0, 1.0]))),
         case("ForceModel.derivative", _derivative, (STATE, A(3.986e14))),

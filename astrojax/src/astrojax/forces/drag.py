@@ -6,8 +6,8 @@ import jax.numpy as jnp
 
 from astrojax._types import FloatScalar, Scalar, Vector3, dot, safe_sqrt
 from astrojax.constants import OMEGA_EARTH
+from astrojax.forces.base import Traced, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
-from astrojax.forces.force import Traced, force, static, turned, turned_back
 from astrojax.forces.harris_priester import density_harris_priester
 from astrojax.forces.spacecraft import Spacecraft
 

@@ -7,8 +7,8 @@ from jaxtyping import Array, Float
 
 from astrojax._types import Scalar, Vector3, inverse_norm
 from astrojax.constants import GM_EARTH, R_EARTH, ZONALS
+from astrojax.forces.base import Traced, field_difference, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
-from astrojax.forces.force import Traced, field_difference, force, static, turned, turned_back
 from astrojax.forces.spacecraft import Spacecraft
 from astrojax.forces.third_body import accel_third_body
 

@@ -6,8 +6,8 @@ from typing import Any
 import jax.numpy as jnp
 
 from astrojax._types import Scalar, Vector3, Vector6
+from astrojax.forces.base import Traced, force, relative_acceleration
 from astrojax.forces.environment import Environment, environment_at
-from astrojax.forces.force import Traced, force, relative_acceleration
 from astrojax.forces.spacecraft import Spacecraft
 
 

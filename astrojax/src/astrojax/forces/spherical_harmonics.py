@@ -16,14 +16,11 @@ import numpy as np
 from jaxtyping import Array
 
 from astrojax._types import FloatScalar, Matrix3, Scalar, Vector3, inverse_norm
+from astrojax.forces.base import Traced, field_difference, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
-from astrojax.forces.force import Traced, field_difference, force, static, turned, turned_back
-from astrojax.forces.gravity_field import GravityField
+from astrojax.forces.fields import GravityField
 from astrojax.forces.spacecraft import Spacecraft
 
-_UNROLLED = 28
-"""Steps of the loop that are written out: a short one wholly, which a compiler keeps in registers; of a longer one that
-many at a time."""
 _SCALE = 2.0**64
 """Of the functions on the way: keeps the small powers of high orders in the range of float32."""
 
@@ -80,58 +77,97 @@ def _lanes(degree: int, order: int) -> _Lanes:
     return _Lanes(n, m, ahead, np.where(twice, behind, 0.0), restart, orders, seeds)
 
 
-def _powers(x: FloatScalar, y: FloatScalar, exponents: np.ndarray) -> tuple[Array, Array]:
-    """Real and imaginary part of (x + i y) to each of the exponents, by repeated squaring."""
-    re, im = jnp.full(exponents.shape, _SCALE, x.dtype), jnp.zeros(exponents.shape, x.dtype)
+def _powers(x: Array, y: Array, exponents: np.ndarray) -> tuple[Array, Array]:
+    """Real and imaginary part of (x + i y) to each of the exponents, by repeated squaring; a leading axis more."""
+    exponents = exponents.reshape(exponents.shape + (1,) * x.ndim)
+    shape = np.broadcast_shapes(exponents.shape, x.shape)
+    re, im = jnp.full(shape, _SCALE, x.dtype), jnp.zeros(shape, x.dtype)
     bit = 0
     while exponents.max(initial=0) >> bit:
-        takes = (exponents >> bit) & 1 == 1
+        takes = np.broadcast_to((exponents >> bit) & 1 == 1, shape)
         re, im = jnp.where(takes, re * x - im * y, re), jnp.where(takes, re * y + im * x, im)
         x, y = x * x - y * y, 2 * x * y
         bit += 1
     return re, im
 
 
-def _synthesis(r: Vector3, radius: Scalar, degree: int, order: int, tables: list) -> list[FloatScalar]:
-    """Sums of C V + S W over degrees 0 to `degree`, orders to `order`, for each pair (C, S) of `tables`.
+def _sums(degree: int, order: int, r: Array, radius: Array, tables: tuple[tuple[Array, Array], ...]) -> Array:
+    """Sums of C V + S W over degrees 0 to `degree`, orders 0 to `order`, for each pair (C, S) of `tables`.
 
-    The tables are (degree + 1, order + 1). One factor R / r is left out of V and W.
+    Any axes of `r` after the first are a batch. The tables are (degree + 1, order + 1). One factor R / r is left out
+    of V and W.
     """
     lanes = _lanes(degree, order)
-    dtype = r.dtype
-    inv_r = inverse_norm(r)
+    inv_r = jax.lax.rsqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     ratio = radius * inv_r
     x, y, z = (ratio * inv_r) * r
     square = ratio * ratio
-    re, im = _powers(x, y, lanes.orders)
-    seeds = jnp.asarray(lanes.seeds, dtype)
-    re, im = re * seeds, im * seeds
+
+    def rows(table):
+        return jnp.asarray(table, r.dtype).reshape(np.shape(table) + (1,) * (r.ndim - 1))
+
+    seeds = rows(lanes.seeds)
+    (re1, im1), (re2, im2) = (
+        tuple(part * seeds[which] for part in _powers(x, y, lanes.orders[which])) for which in (0, 1)
+    )
     live = lanes.degree >= 0
     pick = (np.where(live, lanes.degree, 0), np.where(live, lanes.order, 0))
-    gathered = [jnp.where(live, jnp.asarray(table, dtype)[pick], 0.0) for pair in tables for table in pair]
-    if all(isinstance(table, np.ndarray) for pair in tables for table in pair):
-        gathered = [jnp.asarray(np.where(live, table[pick], 0.0), dtype) for pair in tables for table in pair]
-    rows = [jnp.asarray(table, dtype) for table in (lanes.ahead, lanes.behind, lanes.restart)] + gathered
+    mask = live.astype(r.dtype)
+    pairs = [tuple(rows(table[pick] * mask) for table in pair) for pair in tables]
+    factors = tuple(rows(table) for table in (lanes.ahead, lanes.behind, lanes.restart))
 
     def advance(carry, row):
         (v1, w1, v2, w2), sums = carry
-        ahead, behind, restart, *coefficients = row
+        (ahead, behind, restart), coefficients = row
         up, down = ahead * z, behind * square
-        v = up * v1 - down * v2 + restart * re[1]
-        w = up * w1 - down * w2 + restart * im[1]
-        sums = [s + (c * v + d * w) for s, c, d in zip(sums, coefficients[::2], coefficients[1::2])]
+        v = up * v1 - down * v2 + restart * re2
+        w = up * w1 - down * w2 + restart * im2
+        sums = [so_far + (c * v + s * w) for so_far, (c, s) in zip(sums, coefficients)]
         return ((v, w, v1, w1), sums), None
 
-    nothing = jnp.zeros_like(re[0])
-    first = [c[0] * re[0] + d[0] * im[0] for c, d in zip(gathered[::2], gathered[1::2])]
-    carry = ((re[0], im[0], nothing, nothing), first)
-    steps = len(lanes.degree)
-    if steps <= _UNROLLED:
-        for i in range(1, steps):
-            carry, _ = advance(carry, [row[i] for row in rows])
-    else:
-        carry, _ = jax.lax.scan(advance, carry, [row[1:] for row in rows], unroll=8)
-    return [jnp.sum(s) * (1.0 / _SCALE) for s in carry[1]]
+    nothing = jnp.zeros_like(re1)
+    carry = ((re1, im1, nothing, nothing), [c[0] * re1 + s[0] * im1 for c, s in pairs])
+    # A short loop is written out. Else two steps at a time: each then writes where the one before last was read from.
+    steps = jax.tree.map(lambda table: table[1:], (factors, pairs))
+    count = len(lanes.degree) - 1
+    (_, sums), _ = jax.lax.scan(advance, carry, steps, unroll=count if count <= 8 else 2)
+    return jnp.stack([jnp.sum(lane, axis=0) for lane in sums]) * (1.0 / _SCALE)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _synthesis(degree: int, order: int, r: Array, radius: Array, tables: tuple) -> Array:
+    """`_sums`; a batch of positions goes through it as the last axis, where a vector unit takes several at once."""
+
+    @jax.custom_batching.custom_vmap
+    def one(r, radius, tables):
+        return _sums(degree, order, r, radius, tables)
+
+    @one.def_vmap
+    def _(axis_size, batched, r, radius, tables):
+        if batched[0] and not any(jax.tree.leaves(batched[1:])):
+            return jnp.moveaxis(_sums(degree, order, jnp.moveaxis(r, 0, -1), radius, tables), -1, 0), True
+        axes = jax.tree.map(lambda is_batched: 0 if is_batched else None, tuple(batched))
+        return jax.vmap(functools.partial(_sums, degree, order), axes)(r, radius, tables), True
+
+    return one(r, radius, tables)
+
+
+def _synthesis_jvp(degree, order, primals, tangents):
+    # Differentiated, it is the sums themselves: those can be transposed. Constant coefficients cost nothing here.
+    leaves, structure = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents)
+    moving = [i for i, slope in enumerate(slopes) if not isinstance(slope, jax.custom_derivatives.SymbolicZero)]
+
+    def sums(*moved):
+        values = list(leaves)
+        for i, value in zip(moving, moved):
+            values[i] = value
+        return _sums(degree, order, *jax.tree.unflatten(structure, values))
+
+    return jax.jvp(sums, [leaves[i] for i in moving], [slopes[i] for i in moving])
+
+
+_synthesis.defjvp(_synthesis_jvp, symbolic_zeros=True)
 
 
 def _derivative_tables(c: Any, s: Any, degree: int, order: int) -> list:
@@ -196,7 +232,7 @@ def accel_spherical_harmonics(r: Vector3, field: GravityField, degree: int, orde
     inv_r = inverse_norm(r)
     # The factor R / r that was left out of the functions, and gm / R^2.
     scale = field.gm / field.radius * inv_r
-    return scale * jnp.stack(_synthesis(r, field.radius, degree + 1, order + 1, tables))
+    return scale * _synthesis(degree + 1, order + 1, r, *_cast(r.dtype, field.radius, tables))
 
 
 def potential_spherical_harmonics(
@@ -207,7 +243,12 @@ def potential_spherical_harmonics(
     mask = np.tril(np.ones((degree + 1, order + 1)))
     mask[0, 0] = 0.0
     tables = [tuple(table[: degree + 1, : order + 1] * mask.astype(table.dtype) for table in (field.c, field.s))]
-    return field.gm * inverse_norm(r) * _synthesis(r, field.radius, degree, order, tables)[0]
+    return field.gm * inverse_norm(r) * _synthesis(degree, order, r, *_cast(r.dtype, field.radius, tables))[0]
+
+
+def _cast(dtype: Any, radius: Scalar, tables: list) -> tuple:
+    """Radius and tables as arrays of one dtype, as `_synthesis` differentiates them."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), (radius, tuple(map(tuple, tables))))
 
 
 @force

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 
 from astrojax._types import Scalar, Vector3, dot, inverse_norm
 from astrojax.constants import GM_MOON, GM_SUN
+from astrojax.forces.base import Traced, force, static
 from astrojax.forces.environment import Environment
-from astrojax.forces.force import Traced, force, static
 from astrojax.forces.spacecraft import Spacecraft
 
 GM_BODIES = {

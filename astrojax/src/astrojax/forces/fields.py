@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from astrojax.forces.force import Traced, force, static
+from astrojax.forces.base import Traced, force, static
 
 BUNDLED = {"EGM2008": "egm2008", "GGM05S": "ggm05s", "JGM3": "jgm3"}
 """Fields that come with the package, and their files."""
