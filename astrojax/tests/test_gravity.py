@@ -120,6 +120,15 @@ def test_degree_360_is_finite_and_compiles(quick, x64):
     np.testing.assert_allclose(b, a, rtol=0, atol=2e-5 * np.linalg.norm(a))
 
 
+def test_a_batch_under_strict_flags(jax_flags):
+    field = gravity_field("JGM3", 4)
+    accel = jax.vmap(lambda r: forces.accel_spherical_harmonics(r, field, 4))
+    points = jnp.asarray(np.eye(3) * 7e6, jnp.float32)
+    with jax_flags(strict=True):
+        shapes = jax.eval_shape(lambda r: jax.jvp(accel, (r,), (r,)), points)
+    assert {leaf.dtype for leaf in shapes} == {jnp.dtype("float32")}
+
+
 def test_a_batch_of_batches(quick, x64):
     field = gravity_field("EGM2008", 12)
 

@@ -68,6 +68,11 @@ def test_inside_and_outside(box, rng, quick, x64):
     points = rng.uniform(-2, 2, (500, 3)) * HALF
     inside = (np.abs(points) < HALF).all(axis=1)
     np.testing.assert_allclose(angle(jnp.asarray(points)), np.where(inside, 4 * np.pi, 0.0), rtol=0, atol=1e-9)
+    narrow = angle(jnp.asarray(points, jnp.float32))
+    assert narrow.dtype == jnp.float32
+    np.testing.assert_allclose(narrow, np.where(inside, 4 * np.pi, 0.0), rtol=0, atol=1e-4)
+    slopes = quick(jax.vmap(jax.grad(lambda r: forces.solid_angle_polyhedron(r, box))))(jnp.asarray(points))
+    np.testing.assert_allclose(slopes, 0.0, rtol=0, atol=1e-12)
 
 
 def test_a_fine_sphere_attracts_as_a_point(quick, x64):

@@ -83,7 +83,7 @@ def polyhedron(vertices: np.ndarray, faces: np.ndarray) -> Polyhedron:
 def _sums(r: Vector3, body: Polyhedron) -> tuple[Array, ...]:
     """To each face and edge: the vector from r, the solid angle, the edge's potential."""
     dtype = r.dtype
-    corners, ends = jnp.asarray(body.corners, dtype) - r, jnp.asarray(body.ends, dtype) - r
+    corners, ends = (jnp.asarray(points, dtype) - r[None, None] for points in (body.corners, body.ends))
     lengths = jnp.sqrt(jnp.sum(corners * corners, axis=-1))
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     la, lb, lc = lengths[:, 0], lengths[:, 1], lengths[:, 2]

@@ -78,8 +78,8 @@ def _lanes(degree: int, order: int) -> _Lanes:
 
 
 def _powers(x: Array, y: Array, exponents: np.ndarray) -> tuple[Array, Array]:
-    """Real and imaginary part of (x + i y) to each of the exponents, by repeated squaring; a leading axis more."""
-    exponents = exponents.reshape(exponents.shape + (1,) * x.ndim)
+    """Real and imaginary part of (x + i y) to each of the exponents, along the first axis, by repeated squaring."""
+    exponents = exponents.reshape(exponents.shape + (1,) * (x.ndim - 1))
     shape = np.broadcast_shapes(exponents.shape, x.shape)
     re, im = jnp.full(shape, _SCALE, x.dtype), jnp.zeros(shape, x.dtype)
     bit = 0
@@ -100,8 +100,10 @@ def _sums(degree: int, order: int, r: Array, radius: Array, tables: tuple[tuple[
     lanes = _lanes(degree, order)
     inv_r = jax.lax.rsqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     ratio = radius * inv_r
-    x, y, z = (ratio * inv_r) * r
-    square = ratio * ratio
+    shrink = ratio * inv_r
+    # A leading axis for the lanes, written out: ranks are not promoted here.
+    x, y, z = ((shrink * component)[None] for component in r)
+    square = (ratio * ratio)[None]
 
     def rows(table):
         return jnp.asarray(table, r.dtype).reshape(np.shape(table) + (1,) * (r.ndim - 1))

@@ -41,7 +41,8 @@ def solid_tide_coefficients(
     inv_d = inverse_norm(r_body)
     x, y, u = r_body * inv_d
     ratio = radius * inv_d
-    third = (gm_body / gm) * ratio * ratio * ratio
+    mass_ratio = gm_body * (1.0 / gm)  # this way round, its derivative by gm stays in the range of float32
+    third = mass_ratio * ratio * ratio * ratio
     # Normalised P_nm(sin latitude) exp(-i m longitude): real part, and the imaginary one negated, as C and S have it.
     two = [
         (math.sqrt(5.0) * 0.5 * (3.0 * u * u - 1.0), jnp.zeros_like(u)),
