@@ -139,4 +139,62 @@ def cases(case):
     ]
 
 
-MODELS = []
+# room, model, source, held against, largest error measured, range
+MODELS = [
+    (
+        "forces",
+        "spherical harmonics to degree 360",
+        "Cunningham 1970; Holmes and Featherstone 2002",
+        "60-digit arithmetic; brahe (EGM2008 120x120, GGM05S, JGM3)",
+        "4e-15 and 7e-15 relative at degrees 120 and 200 (float32 6e-6, 1e-5); 8e-15 m/s2",
+        "100 km to GEO, poles included",
+    ),
+    (
+        "forces",
+        "polyhedron of even density",
+        "Werner and Scheeres 1996",
+        "closed form of a box; a sphere of 5120 faces",
+        "6e-14 relative; 2e-6 (the mesh)",
+        "in and outside, off the edges",
+    ),
+    (
+        "forces",
+        "solid Earth tides, step 1",
+        "IERS Conventions 2010, eq. 6.6, 6.7, 6.14",
+        "Rodrigues' formula and longitudes; brahe",
+        "1e-14 of the coefficients; 6e-4 of the acceleration",
+        "low orbit",
+    ),
+    (
+        "forces",
+        "Schwarzschild, Lense-Thirring",
+        "IERS Conventions 2010, eq. 10.12",
+        "its definition; brahe; the advance of perigee",
+        "1e-14; 1e-8; 1e-9 relative",
+        "-",
+    ),
+    (
+        "forces",
+        "radiation pressure, cannonball and plates",
+        "Montenbruck and Gill sec. 3.4",
+        "brahe; absorber, mirror, white plate, spheres of 20 000 plates",
+        "1e-14; 1e-12, 1e-3 (the plates)",
+        "-",
+    ),
+    (
+        "forces",
+        "cylindrical shadow",
+        "Montenbruck and Gill sec. 3.4.2",
+        "brahe",
+        "equal at 500 places",
+        "150 to 5600 km",
+    ),
+    (
+        "forces",
+        "Earth rotation angle about the inertial pole",
+        "IERS Conventions 2010, eq. 5.5",
+        "ERFA",
+        "1e-11",
+        "1990-2050",
+    ),
+]

@@ -14,7 +14,7 @@ from astrojax import forces, orbits
 from astrojax.forces import ForceModel, GravityField, PointMass, SphericalHarmonics, gravity_field, load_gfc
 
 HERE = pathlib.Path(__file__).parent
-MADE = runpy.run_path(str(HERE.parent / "tools/make_gravity_reference.py")) if pytest.importorskip("mpmath") else {}
+MADE = runpy.run_path(str(HERE.parent / "tools/make_gravity_reference.py"))
 PEERS = {"EGM2008": "EGM2008_120", "GGM05S": "GGM05S", "JGM3": "JGM3"}
 POLE = np.array([0.0, 0.0, 6.8e6])
 
@@ -32,17 +32,17 @@ def made_field(degree):
 
 @pytest.mark.parametrize("degree", [120, 200])
 def test_against_sixty_digits(degree, quick, x64):
-    """1e-13 of the acceleration without its central term, poles and 100 km of height included; float32: 2e-5."""
+    """3e-14 of the acceleration without its central term (7e-15 measured), poles included; float32 3e-5 (1e-5)."""
     reference = np.load(HERE / "data/gravity_reference.npz")
     points, expected = reference["points"], reference[f"accel_{degree}"]
     field = made_field(degree)
     accel = quick(jax.vmap(lambda r: forces.accel_spherical_harmonics(r, field, degree)))
     size = np.linalg.norm(expected, axis=1)
     error = np.linalg.norm(accel(jnp.asarray(points)) - expected, axis=1) / size
-    assert error.max() < 1e-13
+    assert error.max() < 3e-14
     narrow = accel(jnp.asarray(points, jnp.float32))
     assert narrow.dtype == jnp.float32
-    assert (np.linalg.norm(narrow - expected, axis=1) / size).max() < 2e-5
+    assert (np.linalg.norm(narrow - expected, axis=1) / size).max() < 3e-5
 
 
 @pytest.mark.parametrize(("name", "degree", "order"), [("EGM2008", 120, 120), ("GGM05S", 50, 20), ("JGM3", 70, 0)])
@@ -69,13 +69,13 @@ def test_zonal_terms_are_those_of_the_zonal_force(positions, quick, x64):
 
 def test_acceleration_is_the_gradient_of_the_potential(quick, x64):
     """At the pole too, and the gradient of gravity is symmetric and of no trace (Laplace)."""
-    field = gravity_field("EGM2008", 30)
+    field = gravity_field("EGM2008", 12)
 
     def potential(r):
-        return forces.potential_spherical_harmonics(r, field, 30)
+        return forces.potential_spherical_harmonics(r, field, 12)
 
     def accel(r):
-        return forces.accel_spherical_harmonics(r, field, 30)
+        return forces.accel_spherical_harmonics(r, field, 12)
 
     slope, tensor = quick(jax.grad(potential)), quick(jax.jacrev(accel))
     forward = quick(jax.jacfwd(accel))

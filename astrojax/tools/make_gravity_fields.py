@@ -12,8 +12,9 @@ import numpy as np
 
 FOLDER = Path(__file__).parents[1] / "src/astrojax/forces/data"
 FIELDS = {"egm2008": ("EGM2008_120", 120), "ggm05s": ("GGM05S", 120), "jgm3": ("JGM3", 70)}
-# brahe's JGM3 file does not say: its solution is tide-free (Tapley et al. 1996, sec. 2).
-TIDES = {"TideFree": "tide_free", "ZeroTide": "zero_tide", "Unknown": "tide_free"}
+# brahe's JGM3 file does not say. Its C20 is 1e-10 from the zero-tide GGM05S's and 4.4e-9, which is the permanent tide,
+# from the tide-free EGM2008's.
+TIDES = {"TideFree": "tide_free", "ZeroTide": "zero_tide", "Unknown": "zero_tide"}
 
 
 def main() -> None:

@@ -8,8 +8,12 @@ central differences of 1e-20 of the radius, whose error is 1e-36. Takes a minute
 
 from pathlib import Path
 
-import mpmath as mp
 import numpy as np
+
+try:
+    import mpmath as mp
+except ImportError:  # the tests want `coefficients` alone
+    mp = None
 
 TARGET = Path(__file__).parents[1] / "tests/data/gravity_reference.npz"
 GM, RADIUS = 3.986004415e14, 6378136.3

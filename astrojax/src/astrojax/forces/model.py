@@ -32,7 +32,7 @@ class ForceModel:
         if hasattr(self.forces, "accel") or isinstance(self.forces, list):
             raise ValueError(f"forces: expected a tuple of forces, got {type(self.forces).__name__}")
         if isinstance(self.forces, tuple):
-            wrong = [f for f in self.forces if isinstance(f, (type, str)) or callable(f)]
+            wrong = [f for f in self.forces if isinstance(f, (type, str)) or (callable(f) and not hasattr(f, "accel"))]
             if wrong or not self.forces:
                 raise ValueError(f"forces: expected a tuple of at least one force, got {wrong or self.forces!r}")
 

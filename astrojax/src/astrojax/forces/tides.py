@@ -75,8 +75,8 @@ class SolidTides:
     Args:
         gm, radius: of the Earth, as of the gravity field it goes with.
         gm_sun, gm_moon: gravitational parameters [m^3/s^2].
-        tide_system: static; "tide_free" if the gravity field is (EGM2008, JGM3), "zero_tide" if it holds the permanent
-            tide already (GGM05S), which is then left out here.
+        tide_system: static; "tide_free" if the gravity field is (EGM2008), "zero_tide" if it holds the permanent tide
+            already (GGM05S, JGM3), which is then left out here.
 
     Validity: as of `solid_tide_coefficients`.
     Raises: ValueError, `tide_system` is neither.
