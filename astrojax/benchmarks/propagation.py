@@ -26,6 +26,16 @@ from astrojax import time as epochs
 
 DAY = 61253  # 2026-08-01
 MASS, AREA, CD = 12000.0, 50.0, 2.2
+SPACECRAFT = forces.Spacecraft(MASS, AREA, CD)
+MODEL = forces.ForceModel(
+    (
+        forces.PointMass(),
+        forces.Zonal(4),
+        forces.ThirdBody("sun"),
+        forces.ThirdBody("moon"),
+        forces.Drag(forces.HarrisPriester()),
+    )
+)
 
 
 def initial_elements(count: int) -> np.ndarray:
@@ -42,9 +52,8 @@ def batched_propagation(steps: int, dt: float):
     def fly(state, start):
         def step(state, i):
             day, seconds = epochs.normalize_epoch(jnp.asarray(DAY, state.dtype), start + i * dt)
-            bodies = forces.celestial_bodies(day, seconds)
-            params = forces.OrbitParams(bodies, MASS, AREA, CD)
-            return propagate.rk4_step(forces.derivative, i * dt, state, dt, params), None
+            world = MODEL.environment(day, seconds)
+            return propagate.rk4_step(MODEL.derivative, i * dt, state, dt, SPACECRAFT, world), None
 
         return jax.lax.scan(step, state, jnp.arange(steps, dtype=state.dtype))[0]
 
@@ -53,7 +62,7 @@ def batched_propagation(steps: int, dt: float):
 
 def brahe_run(states: np.ndarray, steps: int, dt: float) -> tuple[float, np.ndarray]:
     """Seconds and final states of brahe's numerical propagators with the same forces."""
-    forces = brahe.ForceModelConfig(
+    peers = brahe.ForceModelConfig(
         gravity=brahe.GravityConfiguration.earth_zonal(brahe.ZonalHarmonicsDegree.J4),
         drag=brahe.DragConfiguration(
             model=brahe.AtmosphericModel.HARRIS_PRIESTER,
@@ -70,7 +79,7 @@ def brahe_run(states: np.ndarray, steps: int, dt: float) -> tuple[float, np.ndar
     config = brahe.NumericalPropagationConfig.with_method(brahe.IntegrationMethod.RK4)
     config = config.with_initial_step(dt).with_max_step(dt)
     epoch = brahe.Epoch.from_mjd(float(DAY), brahe.TimeSystem.UTC)
-    propagators = [brahe.NumericalOrbitPropagator(epoch, s, config, forces) for s in states]
+    propagators = [brahe.NumericalOrbitPropagator(epoch, s, config, peers) for s in states]
     for p in propagators:
         p.set_trajectory_mode(brahe.TrajectoryMode.DISABLED)
     begin = time.perf_counter()

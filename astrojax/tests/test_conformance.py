@@ -23,7 +23,7 @@ from astrojax import attitude, compilation, ephemeris, forces, frames, orbits, p
 STEP = 2e-6  # of each argument's scale, for central differences
 
 # Covered by their parts or by tests of their own.
-NOT_PHYSICS = {"mjd_from_calendar", "celestial_bodies", "phase"}
+NOT_PHYSICS = {"mjd_from_calendar", "phase"}
 
 
 class Case(NamedTuple):
@@ -72,29 +72,11 @@ def _turned(angle):
     return (np.concatenate([[np.cos(angle / 2)], np.sin(angle / 2) * AXIS]),)
 
 
-def _bodies(dtype):
-    return forces.Bodies(jnp.asarray(SUN, dtype), jnp.asarray(MOON, dtype))
-
-
 def _rk4(state, dt, gm):
     def f(t, y):
         return {"r": y["v"], "v": forces.accel_two_body(y["r"], gm)}
 
     return propagate.rk4_step(f, 0.0, {"r": state[:3], "v": state[3:]}, dt)
-
-
-def _derivative(state, mass):
-    params = forces.OrbitParams(_bodies(state.dtype), mass, 50.0, 2.2)
-    return forces.derivative(0.0, state, params, forces.ForceModel(drag=False))
-
-
-def _forces(state, mass):
-    return forces.accel_gravity_and_perturbations(_bodies(state.dtype), state, mass, 50.0, 2.2)
-
-
-def _relative(chief, separation, mass):
-    station, own = forces.Ballistics(4.2e5, 1500.0, 2.2), forces.Ballistics(mass, 50.0, 2.2)
-    return forces.accel_relative(_bodies(chief.dtype), chief, separation, station, own)
 
 
 def _rk4_increment(state, dt, gm):
@@ -129,7 +111,6 @@ def _matrix(q):
 
 GM = A(3.986e14)
 ACCEL = A([1.0, -2.0, 3.0])
-DIRECTION = A([0.5, -0.7, 0.4, 1e-3, -2e-3, 5e-4])
 REL = A([100.0, 50.0, -20.0, 0.1, 0.2, 0.3])
 
 CASES = [
@@ -208,14 +189,6 @@ CASES = [
         gradient_rtol32=1e-2,
     ),
     case("accel_drag", forces.accel_drag, (LEO, LEO_V, A(3e-12), A(1.2e4), A(50.0), A(2.2))),
-    case("accel_gravity_and_perturbations", _forces, (STATE, A(1.2e4))),
-    case("derivative", _derivative, (STATE, A(1.2e4))),
-    case(
-        "accel_relative",
-        _relative,
-        *((STATE, size * DIRECTION, A(1.2e4)) for size in (200.0, 1e3, 5e3)),  # nearer, 1e-17 m/s2 of rounding shows
-        rtol32=1e-5,
-    ),
     case("rk4_step", _rk4, (STATE, A(10.0), GM)),
     case("rk4_increment", _rk4_increment, (STATE, A(10.0), GM)),
     case("rk4_increment_looped", _rk4_increment_looped, (STATE, A(10.0), GM)),
@@ -259,6 +232,10 @@ CASES = [
     case("accel_euler", attitude.accel_euler, (A([0.01, -0.02, 0.03]), INERTIA, A([10.0, -5.0, 2.0])), rtol32=1e-5),
     case("torque_gravity_gradient", attitude.torque_gravity_gradient, (LEO, INERTIA, GM), rtol32=1e-5),
 ]
+# Each topic's own cases, and what of it is no physics.
+TOPICS = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py"))]
+CASES += [c for topic in TOPICS for c in topic["cases"](case)]
+NOT_PHYSICS |= {name for topic in TOPICS for name in topic.get("HOST", ())}
 
 
 _BESIDE = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py"))]
@@ -362,7 +339,8 @@ def test_epochs_of_mixed_types_under_strict_flags(jax_flags):
     with jax_flags(strict=True):
         for day in (61253, np.int32(61253), jnp.asarray(61253, jnp.int32)):
             assert time.gmst(day, jnp.float32(43210.0)).dtype == jnp.float32
-            assert forces.celestial_bodies(day, jnp.float32(43210.0)).moon.dtype == jnp.float32
+            world = forces.environment_at({"sun", "moon", "rotation"}, day, jnp.float32(43210.0))
+            assert {leaf.dtype for leaf in jax.tree.leaves(world)} == {jnp.dtype("float32")}
 
 
 def test_readme_under_strict_flags(jax_flags, capsys):
@@ -386,7 +364,7 @@ def test_every_public_function_has_a_case():
     assert names <= covered
 
 
-@pytest.mark.parametrize("name", ["moon_position", "accel_gravity_and_perturbations", "quat_angle"])
+@pytest.mark.parametrize("name", ["moon_position", "ForceModel.accel", "quat_angle"])
 def test_float32_without_x64(name):
     """JAX's default configuration runs them too."""
     case = next(case for case in CASES if case.name == name)

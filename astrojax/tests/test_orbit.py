@@ -14,6 +14,9 @@ from astrojax import constants, forces, frames, orbits, propagate
 ISS = np.array([6795e3, 0.0005, np.radians(51.64), 0.7, 0.3, 1.9])
 SUN = np.array([-9.4e10, 1.09e11, 4.7e10])
 MOON = np.array([3.58e8, -1.49e8, -6.0e7])
+MODEL = forces.ForceModel(
+    (forces.PointMass(), forces.Zonal(4), forces.ThirdBody("sun"), forces.ThirdBody("moon"), forces.Drag())
+)
 
 
 def random_positions(rng, count, low=150e3, high=2000e3):
@@ -279,8 +282,8 @@ def test_rk4_is_of_fourth_order(x64):
 
 def test_propagation_against_brahe_forces(x64):
     """One orbit, every force, bodies held: within 1 cm of brahe's forces integrated by SciPy's DOP853."""
-    bodies = forces.celestial_bodies(61253, 43200.0)
-    sun, moon = np.asarray(bodies.sun), np.asarray(bodies.moon)
+    world = MODEL.environment(61253, 43200.0)
+    sun, moon = np.asarray(world.sun), np.asarray(world.moon)
     mass, area, cd, duration, steps = 12000.0, 50.0, 2.2, 5560.0, 1112
     start = np.asarray(orbits.keplerian_to_cartesian(jnp.asarray(ISS)))
 
@@ -295,32 +298,15 @@ def test_propagation_against_brahe_forces(x64):
         return np.concatenate([y[3:], accel + brahe.accel_drag(y, density, mass, area, cd, np.eye(3))])
 
     end = solve_ivp(reference, (0.0, duration), start, method="DOP853", rtol=1e-11, atol=1e-5).y[:, -1]
-    params = forces.OrbitParams(bodies, mass, area, cd)
+    spacecraft = forces.Spacecraft(mass, area, cd)
 
     @jax.jit
     def flown(state):
         def step(_, y):
-            return propagate.rk4_step(forces.derivative, 0.0, y, duration / steps, params, forces.ForceModel())
+            return propagate.rk4_step(MODEL.derivative, 0.0, y, duration / steps, spacecraft, world)
 
         return jax.lax.fori_loop(0, steps, step, state)
 
     ours = flown(jnp.asarray(start))
     np.testing.assert_allclose(ours[:3], end[:3], rtol=0, atol=1e-2)
     np.testing.assert_allclose(ours[3:], end[3:], rtol=0, atol=1e-5)
-
-
-def test_force_model_selects_and_is_checked(x64):
-    state = orbits.keplerian_to_cartesian(jnp.asarray(ISS))
-    bodies = forces.celestial_bodies(61253, 0.0)
-
-    def accel(model):
-        return forces.accel_gravity_and_perturbations(bodies, state, 12000.0, 50.0, 2.2, model)
-
-    bare = accel(forces.ForceModel(0, sun=False, moon=False, drag=False))
-    np.testing.assert_array_equal(bare, forces.accel_two_body(state[:3]))
-    for field, bounds in {"sun": (1e-8, 1e-6), "moon": (1e-7, 2e-6), "drag": (1e-7, 1e-5)}.items():
-        off = forces.ForceModel(0, **({"sun": False, "moon": False, "drag": False} | {field: True}))
-        assert bounds[0] < np.linalg.norm(accel(off) - bare) < bounds[1]
-    assert hash(forces.ForceModel()) == hash(forces.ForceModel(4, True, True, True))
-    with pytest.raises(ValueError, match=r"zonal_degree: expected one of \(0, 2, 3, 4, 5, 6\), got 7"):
-        forces.ForceModel(zonal_degree=7)

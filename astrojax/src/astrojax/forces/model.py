@@ -1,155 +1,116 @@
-"""Orbital dynamics: the sum of the forces, ready for an integrator."""
+"""The sum of the forces, ready for an integrator."""
 
-import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any
 
-import jax
 import jax.numpy as jnp
 
 from astrojax._types import Scalar, Vector3, Vector6
-from astrojax.constants import GM_EARTH, GM_MOON, GM_SUN
-from astrojax.ephemeris import moon_position, sun_position
-from astrojax.forces.drag import accel_drag
-from astrojax.forces.gravity import ZONAL_DEGREES, accel_two_body, accel_zonal
-from astrojax.forces.harris_priester import density_harris_priester
-from astrojax.forces.third_body import accel_third_body
+from astrojax.forces.base import Traced, force, relative_acceleration
+from astrojax.forces.environment import Environment, environment_at
+from astrojax.forces.spacecraft import Spacecraft
 
 
-@dataclasses.dataclass(frozen=True)
+@force
 class ForceModel:
-    """Which perturbations act (static and hashable: part of the compiled program, never traced).
+    """The sum of some forces; itself a pytree, so that it may be closed over, swept or differentiated.
 
     Args:
-        zonal_degree: highest zonal harmonic, 0 (two-body only) or 2 to 6.
-        sun, moon: third-body attraction.
-        drag: Harris-Priester drag.
+        forces: tuple of `Force`s. The largest goes first: it is added last, so that the small ones keep their digits.
+        weights: (N,) one factor a force, traced: sweeping which forces act recompiles nothing. None: all act, and no
+            factor is multiplied.
 
-    Raises: ValueError, `zonal_degree` is not one of the allowed values.
+    Raises: ValueError, `forces` is not a tuple of forces, or `weights` has another length.
     """
 
-    zonal_degree: int = 4
-    sun: bool = True
-    moon: bool = True
-    drag: bool = True
+    forces: Traced
+    weights: Traced = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.zonal_degree, bool) or self.zonal_degree not in ZONAL_DEGREES:
-            raise ValueError(f"zonal_degree: expected one of {ZONAL_DEGREES}, got {self.zonal_degree!r}")
+        # Trees rebuild themselves through here with anything in their leaves' place: only what a caller gets wrong
+        # is looked at.
+        if hasattr(self.forces, "accel") or isinstance(self.forces, list):
+            raise ValueError(f"forces: expected a tuple of forces, got {type(self.forces).__name__}")
+        if isinstance(self.forces, tuple):
+            wrong = [f for f in self.forces if isinstance(f, (type, str)) or (callable(f) and not hasattr(f, "accel"))]
+            if wrong or not self.forces:
+                raise ValueError(f"forces: expected a tuple of at least one force, got {wrong or self.forces!r}")
 
+    @property
+    def needs(self) -> frozenset[str]:
+        """All that the forces read of the environment."""
+        return frozenset().union(*(f.needs for f in self.forces))
 
-class Bodies(NamedTuple):
-    """Geocentric positions (3,) [m] of the Sun and the Moon, mean equator and equinox of J2000."""
+    def environment(self, day: Scalar, seconds: Scalar, **given: Any) -> Environment:
+        """What these forces need to know at a UTC epoch, and no more; arguments as of `environment_at`."""
+        return environment_at(self.needs, day, seconds, **given)
 
-    sun: Vector3
-    moon: Vector3
+    def accel(self, t: Scalar, r: Vector3, v: Vector3, spacecraft: Spacecraft, environment: Environment) -> Vector3:
+        """Inertial acceleration [m/s^2] of all forces.
 
+        Args:
+            t: time [s], handed to the forces.
+            r: (3,) inertial position [m].
+            v: (3,) inertial velocity [m/s].
+            spacecraft: what they act on.
+            environment: from `environment`.
+        """
+        return self._sum([f.accel(t, r, v, spacecraft, environment) for f in self.forces], last=True)
 
-class Ballistics(NamedTuple):
-    """What drag acts on: mass [kg], cross-section [m^2], drag coefficient (all traced)."""
+    def relative(
+        self,
+        t: Scalar,
+        r: Vector3,
+        v: Vector3,
+        rho: Vector3,
+        rho_dot: Vector3,
+        chief: Spacecraft,
+        spacecraft: Spacecraft,
+        environment: Environment,
+    ) -> Vector3:
+        """Acceleration [m/s^2] of a vehicle less that of a chief nearby, without subtracting two attractions.
 
-    mass: Scalar
-    area: Scalar
-    cd: Scalar
+        Args:
+            t: time [s], handed to the forces.
+            r, v: (3,) inertial position and velocity of the chief [m, m/s].
+            rho, rho_dot: (3,) position and velocity of the vehicle less the chief's [m, m/s], inertial axes.
+            chief, spacecraft: what the forces act on, at r and at r + rho.
+            environment: from `environment`, for both.
 
+        Validity: any separation. In float32 it keeps the precision of the separation, as each force's own `relative`
+        says (the zonal terms': third order, 2e-13 m/s^2 at 1 km).
+        """
+        both = (t, r, v, rho, rho_dot, chief, spacecraft, environment)
+        return self._sum([relative_acceleration(f, *both) for f in self.forces], last=False)
 
-class OrbitParams(NamedTuple):
-    """What `derivative` needs beside the state: bodies held over a step, and the vehicle (all traced)."""
+    def derivative(
+        self,
+        t: Scalar,
+        state: Vector6,
+        spacecraft: Spacecraft,
+        environment: Environment | Callable[[Scalar], Environment],
+    ) -> Vector6:
+        """Time derivative of a state, in the form `rk4_step(model.derivative, t, state, dt, spacecraft, environment)`.
 
-    bodies: Bodies
-    mass: Scalar
-    area: Scalar
-    cd: Scalar
+        Args:
+            t: time [s].
+            state: (6,) inertial position and velocity [m, m/s].
+            spacecraft: what the forces act on.
+            environment: held over the step; or a function of t, called each stage: with t in seconds of a day,
+                `functools.partial(model.environment, day)`.
+        """
+        if callable(environment):
+            environment = environment(t)
+        r, v = state[:3], state[3:]
+        return jnp.concatenate([v, self.accel(t, r, v, spacecraft, environment)])
 
-
-def celestial_bodies(day: Scalar, seconds: Scalar) -> Bodies:
-    """Positions of the Sun and the Moon at a UTC epoch (whole MJD, seconds of day).
-
-    In the 0.05 s of a step the Moon moves 50 m, 1e-7 of its distance: once a step is plenty.
-    """
-    return Bodies(sun_position(day, seconds), moon_position(day, seconds))
-
-
-def accel_gravity_and_perturbations(
-    bodies: Bodies, state: Vector6, mass: Scalar, area: Scalar, cd: Scalar, model: ForceModel = ForceModel()
-) -> Vector3:
-    """Inertial acceleration [m/s^2]: two-body, zonal, Sun, Moon and drag, as `model` selects.
-
-    Args:
-        bodies: positions of the Sun and the Moon, from `celestial_bodies`.
-        state: (6,) inertial position and velocity [m, m/s], z along Earth's axis.
-        mass: of the vehicle [kg].
-        area: drag cross-section [m^2].
-        cd: drag coefficient.
-        model: static.
-
-    Validity: the pole of J2000 stands in for the pole of date (0.15 deg apart in 2026), for zonal terms,
-    atmosphere and its rotation alike.
-    """
-    r, v = state[:3], state[3:]
-    accel = accel_zonal(r, model.zonal_degree)
-    if model.sun:
-        accel = accel + accel_third_body(r, bodies.sun, GM_SUN)
-    if model.moon:
-        accel = accel + accel_third_body(r, bodies.moon, GM_MOON)
-    if model.drag:
-        accel = accel + accel_drag(r, v, density_harris_priester(r, bodies.sun), mass, area, cd)
-    # The large term last: the small ones keep their digits among themselves.
-    return accel_two_body(r, GM_EARTH) + accel
-
-
-def accel_relative(
-    bodies: Bodies,
-    chief: Vector6,
-    relative: Vector6,
-    chief_ballistics: Ballistics,
-    ballistics: Ballistics,
-    model: ForceModel = ForceModel(),
-) -> Vector3:
-    """Acceleration [m/s^2] of a vehicle less that of a chief nearby, without subtracting two attractions.
-
-    Args:
-        bodies: positions of the Sun and the Moon, from `celestial_bodies`.
-        chief: (6,) inertial position and velocity of the chief [m, m/s], z along Earth's axis.
-        relative: (6,) position and velocity of the vehicle less the chief's [m, m/s], inertial axes.
-        chief_ballistics, ballistics: drag of the chief and of the vehicle.
-        model: static.
-
-    Validity: any separation. In float32 it keeps the precision of the separation: there the zonal terms, a thousandth
-    of the whole, are expanded about the middle of the two, with an error of third order, 2e-13 m/s^2 at 1 km; float64
-    can afford to subtract them.
-
-    Source: Battin's f(q), as in `accel_third_body`: the difference of two attractions is that of a body seen from the
-    chief.
-    """
-    r, rho = chief[:3], relative[:3]
-    accel = accel_third_body(rho, -r, GM_EARTH)
-    if model.zonal_degree and r.dtype == jnp.float64:
-        accel = accel + (accel_zonal(r + rho, model.zonal_degree) - accel_zonal(r, model.zonal_degree))
-    elif model.zonal_degree:
-        _, gradient = jax.jvp(lambda x: accel_zonal(x, model.zonal_degree), (r + 0.5 * rho,), (rho,))
-        accel = accel + gradient
-    if model.sun:
-        accel = accel + accel_third_body(rho, bodies.sun - r, GM_SUN)
-    if model.moon:
-        accel = accel + accel_third_body(rho, bodies.moon - r, GM_MOON)
-    if model.drag:
-        own, station = (
-            accel_drag(state[:3], state[3:], density_harris_priester(state[:3], bodies.sun), *body)
-            for state, body in ((chief + relative, ballistics), (chief, chief_ballistics))
-        )
-        accel = accel + (own - station)
-    return accel
-
-
-def derivative(t: Scalar, state: Vector6, params: OrbitParams, model: ForceModel = ForceModel()) -> Vector6:
-    """Time derivative of an inertial state, in the form `rk4_step(derivative, t, state, dt, params, model)`.
-
-    Args:
-        t: not used, the epoch-dependent bodies are held in `params`.
-        state: (6,) inertial position and velocity [m, m/s].
-        params: bodies and vehicle.
-        model: static.
-    """
-    del t
-    accel = accel_gravity_and_perturbations(params.bodies, state, params.mass, params.area, params.cd, model)
-    return jnp.concatenate([state[3:], accel])
+    def _sum(self, terms: list[Vector3], last: bool) -> Vector3:
+        if self.weights is not None:
+            if jnp.shape(self.weights) != (len(terms),):
+                raise ValueError(f"weights: expected shape ({len(terms)},), got {jnp.shape(self.weights)}")
+            weights = jnp.asarray(self.weights, terms[0].dtype)
+            terms = [weights[i] * term for i, term in enumerate(terms)]
+        first, *rest = terms
+        if last and rest:
+            return first + sum(rest[1:], rest[0])
+        return sum(rest, first)

@@ -24,14 +24,7 @@ from astrojax.attitude import (
 )
 from astrojax.compilation import stored, summed
 from astrojax.constants import GM_EARTH
-from astrojax.forces import (
-    Ballistics,
-    ForceModel,
-    accel_gravity_and_perturbations,
-    accel_relative,
-    accel_zonal,
-    celestial_bodies,
-)
+from astrojax.forces import Drag, ForceModel, HarrisPriester, PointMass, Spacecraft, ThirdBody, Zonal, accel_zonal
 from astrojax.frames import rotation_eci_to_rtn, rtn_rate
 from astrojax.orbits import keplerian_to_cartesian
 from astrojax.propagate import compensated_add, rk4_increment_looped
@@ -57,6 +50,11 @@ def _unit_attitude(motion, increment):
     return dt, orbit, turn._replace(attitude=turn.attitude + stretch * ahead)
 
 
+def _in_the_air(vehicle):
+    """What drag acts on, of the station's or the chaser's parameters; no light presses on either."""
+    return Spacecraft(vehicle.mass, vehicle.drag_area, vehicle.drag_coefficient, reflectivity=None)
+
+
 @dataclass(frozen=True)
 class NumericalOrbits:
     """A perturbed orbit, perturbed motion about it and a rigid body, in inertial axes."""
@@ -66,6 +64,17 @@ class NumericalOrbits:
     sun: bool = True
     moon: bool = True
     drag: bool = True
+
+    @property
+    def _forces(self):
+        """Made where it is used, inside a program: its numbers are constants there. The pole is that of J2000."""
+        selected = {
+            Zonal(self.zonal_degree): self.zonal_degree > 0,
+            ThirdBody("sun"): self.sun,
+            ThirdBody("moon"): self.moon,
+            Drag(HarrisPriester()): self.drag,
+        }
+        return ForceModel((PointMass(), *(force for force, acts in selected.items() if acts)))
 
     def _frame(self, chief):
         # Sun, Moon and drag change the out-of-plane rate by less than 1e-9 rad/s (2e-7 m/s at 225 m); the central
@@ -96,12 +105,10 @@ class NumericalOrbits:
     ) -> PhysicalState:
         """Advance by `dt` seconds under a body wrench (6,) [N, N m]."""
         day, seconds = normalize_epoch(state.epoch[0], state.epoch[1] + state.elapsed)
-        bodies = celestial_bodies(day.astype(jnp.float32), seconds.astype(jnp.float32))
-        bodies = stored(jax.tree.map(lambda position: position.astype(dt.dtype), bodies))
-        vehicle = params.chaser
-        station = Ballistics(params.chief.mass, params.chief.drag_area, params.chief.drag_coefficient)
-        own = Ballistics(vehicle.mass, vehicle.drag_area, vehicle.drag_coefficient)
-        given = (bodies, station, own, vehicle.inertia, wrench)
+        world = self._forces.environment(day.astype(jnp.float32), seconds.astype(jnp.float32))
+        world = stored(jax.tree.map(lambda position: position.astype(dt.dtype), world))
+        station, own = (_in_the_air(vehicle) for vehicle in (params.chief, params.chaser))
+        given = (world, station, own, params.chaser.inertia, wrench)
         motion = (state.elapsed, state.chief, state.chaser)
         increment = rk4_increment_looped(self._derivative, state.elapsed, motion, dt, given)
         increment = _unit_attitude(motion, increment)
@@ -112,16 +119,17 @@ class NumericalOrbits:
         elapsed, chief, chaser = motion
         return stored(PhysicalState(state.epoch, elapsed, chief, chaser, lost))
 
-    def _derivative(self, _, motion, bodies, station, own, inertia, wrench):
-        forces = ForceModel(zonal_degree=self.zonal_degree, sun=self.sun, moon=self.moon, drag=self.drag)
+    def _derivative(self, t, motion, world, station, own, inertia, wrench):
+        forces = self._forces
         elapsed, chief, chaser = motion
         thrust = quat_rotate(chaser.attitude, wrench[:3]) / own.mass
         from_earth = quat_rotate(quat_conjugate(chaser.attitude), chief[:3] + chaser.orbit[:3])
         torque = wrench[3:] + torque_gravity_gradient(from_earth, inertia, GM_EARTH)
-        apart = accel_relative(bodies, chief, chaser.orbit, station, own, forces)
+        orbit, between = (chief[:3], chief[3:]), (chaser.orbit[:3], chaser.orbit[3:])
+        apart = forces.relative(t, *orbit, *between, station, own, world)
         return (
             jnp.ones_like(elapsed),
-            jnp.concatenate([chief[3:], accel_gravity_and_perturbations(bodies, chief, *station, forces)]),
+            forces.derivative(t, chief, station, world),
             VehicleState(
                 jnp.concatenate([chaser.orbit[3:], apart + thrust]),
                 quat_derivative(chaser.attitude, chaser.rate),
