@@ -238,11 +238,6 @@ CASES += [c for topic in TOPICS for c in topic["cases"](case)]
 NOT_PHYSICS |= {name for topic in TOPICS for name in topic.get("HOST", ())}
 
 
-_BESIDE = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py"))]
-CASES += [c for names in _BESIDE for c in names["cases"](case)]
-NOT_PHYSICS |= {name for names in _BESIDE for name in names.get("HOST", ())}
-
-
 def cast(args, dtype):
     return tuple(jnp.asarray(a, dtype) for a in args)
 
