@@ -44,3 +44,8 @@ def test_import_changes_no_jax_setting():
     )
     result = run(code)
     assert result.stdout.strip() == "same", result.stderr
+
+
+def test_the_conformance_page_is_what_the_tests_say():
+    script = pathlib.Path(__file__).parents[1] / "tools" / "conformance_page.py"
+    subprocess.run([sys.executable, script, "--check"], check=True)
