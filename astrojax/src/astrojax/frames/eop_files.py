@@ -5,7 +5,7 @@ beyond 86400 s [s]; a row a day, at 0h UTC.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -129,7 +129,7 @@ def save_compact(path: Path, rows: Rows) -> None:
     np.savez_compressed(path, first_day=rows.first_day, measured=rows.measured, twice=twice.T.astype(np.int32))
 
 
-def load_compact(file) -> Rows:
+def load_compact(file: str | Path | BinaryIO) -> Rows:
     """Read what `save_compact` wrote.
 
     Args:
