@@ -15,9 +15,9 @@ PAGE = ROOT / "CONFORMANCE.md"
 COLUMNS = ("room", "model", "source", "held against", "error or tolerance", "range")
 HEAD = """# Conformance
 
-`python astrojax/tools/conformance_page.py` writes this page from the tests' own tables. Errors are the largest that the tests
-measured in float64, unless a cell says otherwise; where none was recorded, the test's tolerance stands. The models that the docking
-environments fly on are in the [README](README.md#models).
+`python astrojax/tools/conformance_page.py` writes this page from the tests' own tables. Errors are the largest that
+the tests measured in float64, unless a cell says otherwise. Where none was recorded, the test's tolerance stands. The
+models that the docking environments fly on are in the [README](README.md#models).
 
 """
 

@@ -17,7 +17,8 @@ from owm_envs.task.events import Outcome
 from owm_envs.view import View
 
 PULLED = ("random", "orbit", "dock", "excite")
-FOLLOWING = ("dock-geodesic", "dock-geodesic-integral", "dock-safe")
+FOLLOWING = ("dock-geodesic", "dock-geodesic-integral")
+SAFE = "dock-safe"  # flown by the tests of the package above, which score it: it costs too much to fly twice
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +36,19 @@ def policies(env, quick_fields):
     normals = np.array([port.normal for port in PORTS[1::-1]])
     field = solve_field(hull_boxes(), goal_poses()[1::-1, :3], normals, config=FieldConfig(fine_spacing=2.0))
     built = {name: make_policy(name, env) for name in PULLED}
-    return {**built, **{name: make_policy(name, env, geodesic_field=field) for name in FOLLOWING}}
+    return {**built, **{name: make_policy(name, env, geodesic_field=field) for name in (*FOLLOWING, SAFE)}}
 
 
 @pytest.fixture(scope="module")
 def flights(env, policies):
     """Eight whole flights of each policy at 4 Hz: one to each port, or four to each of the two the field knows."""
-    keys = jax.random.split(jax.random.key(11), 8 * len(policies))
-    which = np.repeat(np.arange(len(policies)), 8)
-    ports = np.tile(np.arange(8), len(policies))
+    names = (*PULLED, *FOLLOWING)
+    keys = jax.random.split(jax.random.key(11), 8 * len(names))
+    which = np.repeat(np.arange(len(names)), 8)
+    ports = np.tile(np.arange(8), len(names))
     ports = np.where(which >= len(PULLED), ports % 2, ports)
-    flown = list(episodes(rollout(env, list(policies.values()), keys, ports, which=which)))
-    return {name: flown[8 * i : 8 * i + 8] for i, name in enumerate(policies)}
+    flown = list(episodes(rollout(env, [policies[name] for name in names], keys, ports, which=which)))
+    return {name: flown[8 * i : 8 * i + 8] for i, name in enumerate(names)}
 
 
 def test_every_name_makes_a_policy_of_that_name(policies):
@@ -68,7 +70,7 @@ def test_following_the_field_docks_without_touching_the_hull(name, flights):
     for episode in flights[name]:
         assert episode.outcome == Outcome.DOCKED, episode.info
         assert not episode.info["collided"]
-        assert len(episode) * 0.25 < 240.0
+        assert len(episode) * 0.25 < 200.0
 
 
 @pytest.mark.parametrize("name", FOLLOWING)
