@@ -73,7 +73,7 @@ def test_following_the_field_docks_without_touching_the_hull(name, flights):
         assert len(episode) * 0.25 < 200.0
 
 
-@pytest.mark.parametrize("name", FOLLOWING)
+@pytest.mark.parametrize("name", (*FOLLOWING, SAFE))
 def test_following_the_field_is_impossible_to_a_port_it_lacks(name, env, policies):
     policy = policies[name]
     observation = jnp.zeros(env.layout.size).at[env.layout.view.start].set(120.0).at[env.layout.view.start + 6].set(1.0)

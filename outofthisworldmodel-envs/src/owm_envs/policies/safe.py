@@ -90,7 +90,6 @@ class DockSafePolicy:
         dtype = view.position.dtype
         row = jnp.asarray(self.rows)[port]
         cost, gradient = cost_to_go(self.field, jnp.maximum(row, 0), view.position)
-        cost = jnp.where(row < 0, jnp.nan, cost)
         gap = clearance(self.field, view.position)
         cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
         speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
@@ -99,7 +98,7 @@ class DockSafePolicy:
         down = -gradient / jnp.maximum(safe_norm(gradient), 1e-6)
         wanted = jnp.where(gap > NEAR, self._passing_by(view, speed, down), speed * down)
         last, velocity = _last_leg(port, view)
-        return jnp.where(last, velocity, wanted)
+        return jnp.where(row < 0, jnp.nan, jnp.where(last, velocity, wanted))
 
     def _passing_by(self, view: View, speed: Float[Array, ""], down: Float[Array, "3"]) -> Float[Array, "3"]:
         """The velocity of most progress whose drift keeps clear; where none does, the one that falls least short."""
