@@ -7,6 +7,7 @@ import functools
 import inspect
 import pathlib
 import re
+import runpy
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -258,6 +259,12 @@ CASES = [
     case("accel_euler", attitude.accel_euler, (A([0.01, -0.02, 0.03]), INERTIA, A([10.0, -5.0, 2.0])), rtol32=1e-5),
     case("torque_gravity_gradient", attitude.torque_gravity_gradient, (LEO, INERTIA, GM), rtol32=1e-5),
 ]
+
+# Rooms of many models keep their cases, and their functions of the host, beside this file.
+for _path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py")):
+    _found = runpy.run_path(str(_path))
+    CASES += _found["cases"](case)
+    NOT_PHYSICS |= _found.get("HOST", set())
 
 
 def cast(args, dtype):

@@ -1,4 +1,4 @@
-"""Gravity constants of SGP4, in its own units: Earth radii and minutes. They belong to the element sets, not to physics."""
+"""Gravity constants of SGP4, in its own units: Earth radii and minutes. They belong to the element sets."""
 
 import math
 from typing import NamedTuple

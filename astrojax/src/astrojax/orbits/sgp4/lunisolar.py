@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from astrojax.orbits.sgp4.near_earth import Mean, Number
 
@@ -152,7 +151,7 @@ def lunisolar(mean: Mean, day1900: Number) -> tuple[Body, Body, Rates]:
     return sun, moon, jax.tree.map(jnp.add, sun_rates, moon_rates)
 
 
-def _periodic(body: Body, e_body: float, rate: float, minutes: Number) -> Float[Array, "5"]:
+def _periodic(body: Body, e_body: float, rate: float, minutes: Number) -> tuple:
     zm = body.m0 + rate * minutes
     zf = zm + 2.0 * e_body * jnp.sin(zm)
     sin_f = jnp.sin(zf)

@@ -119,10 +119,9 @@ def drag_series(mean: Mean, bstar: Number, deep: Array, g: Gravity) -> Drag:
     eccentric = e > _CIRCULAR
     e_safe = jnp.where(eccentric, e, 1.0)
     c3 = jnp.where(eccentric, -2.0 * coef * tsi * (g.j3 / g.j2) * n * mean.sin_inc / e_safe, 0.0)
-    j2_part = (
-        -3.0 * con41 * (1.0 - 2.0 * e_eta + eta2 * (1.5 - 0.5 * e_eta))
-        + 0.75 * x1mth2 * (2.0 * eta2 - e_eta * (1.0 + eta2)) * jnp.cos(2.0 * mean.argp)
-    )
+    j2_part = -3.0 * con41 * (1.0 - 2.0 * e_eta + eta2 * (1.5 - 0.5 * e_eta)) + 0.75 * x1mth2 * (
+        2.0 * eta2 - e_eta * (1.0 + eta2)
+    ) * jnp.cos(2.0 * mean.argp)
     c4_ = (2.0 * n * coef1 * a * shape) * (
         eta * (2.0 + 0.5 * eta2) + e * (0.5 + 2.0 * eta2) - g.j2 * tsi / (a * psi2) * j2_part
     )

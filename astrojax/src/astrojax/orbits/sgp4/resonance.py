@@ -144,9 +144,7 @@ def resonance_terms(mean: Mean, rates: Rates, sidereal: Number, deep: Array) -> 
     pairs = zip(_one_day(mean, a_inverse), _half_day(mean, a_inverse))
     amplitude = jnp.stack([jnp.where(one_day, a, jnp.where(half_day, b, 0.0)) for a, b in pairs], axis=-1)
     theta = jax.lax.rem(sidereal, jnp.full_like(sidereal, _TURN))
-    longitude = jnp.where(
-        one_day, mean.m + mean.raan + mean.argp - theta, mean.m + 2.0 * mean.raan - 2.0 * theta
-    )
+    longitude = jnp.where(one_day, mean.m + mean.raan + mean.argp - theta, mean.m + 2.0 * mean.raan - 2.0 * theta)
     node = mean.raan_dot + rates.raan - EARTH_RATE
     perigee = mean.argp_dot + rates.argp
     drift = mean.m_dot + rates.m - n + jnp.where(one_day, node + perigee, 2.0 * node)
@@ -157,11 +155,11 @@ def _slopes(kind, amplitude, argp, longitude, n, drift):
     """Rate of the longitude, and first and second rate of the mean motion."""
     dtype = amplitude.dtype
     one_day, half_day = jnp.asarray(_ONE_DAY, dtype), jnp.asarray(_HALF_DAY, dtype)
-    k, l, phase = jnp.moveaxis(jnp.where(kind == 1, one_day, half_day), -1, 0)
-    angle = k * argp + l * longitude - phase
+    k_argp, k_long, phase = jnp.moveaxis(jnp.where(kind == 1, one_day, half_day), -1, 0)
+    angle = k_argp * argp + k_long * longitude - phase
     rate = n + drift
     n_dot = jnp.sum(amplitude * jnp.sin(angle))
-    n_ddot = jnp.sum(amplitude * l * jnp.cos(angle)) * rate
+    n_ddot = jnp.sum(amplitude * k_long * jnp.cos(angle)) * rate
     return rate, n_dot, n_ddot
 
 
@@ -197,9 +195,7 @@ def _march_jvp(primals, tangents):
     return _march(*primals), (moved[0], moved[1])
 
 
-def resonant_motion(
-    terms: Resonance, mean: Mean, minutes: Number
-) -> tuple[Number, Number, Array]:
+def resonant_motion(terms: Resonance, mean: Mean, minutes: Number) -> tuple[Number, Number, Array]:
     """Resonance longitude and mean motion at `minutes` from epoch, and whether that is too far to integrate."""
     span = jnp.abs(minutes) / STEP
     far = (terms.kind > 0) & ~(span < MAX_STEPS)
