@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from astrojax._types import FloatScalar, Scalar, float_dtype
 
 _TURN = 6.283185307179586
-_STEPS = 8
+_STEPS = 10
 
 
 def _floats(*values):
@@ -77,14 +77,16 @@ def _eccentric(m, e):
     near = _cubic_root(1.0 - e, m)  # exact about the perigee of a long ellipse, and never too small by much
     far = m + e * jnp.sin(m) * jax.lax.rsqrt(1.0 - 2.0 * e * jnp.cos(m) + e * e + 1e-9)
     ecc = jnp.where((e > 0.8) & (jnp.abs(m) < 1.0), near, far)
-    for _ in range(_STEPS):
+
+    def step(_, ecc):
         s, c = jnp.sin(ecc), jnp.cos(ecc)
         miss = (1.0 - e) * s + _minus_sine(ecc) - m
         slope = (1.0 - e) + e * 2.0 * jnp.sin(0.5 * ecc) ** 2
         d1 = -miss / slope
         d2 = -miss / (slope + 0.5 * d1 * e * s)
-        ecc = ecc - miss / (slope + 0.5 * d2 * e * s + d2 * d2 * e * c / 6.0)
-    return ecc + _TURN * turns
+        return ecc - miss / (slope + 0.5 * d2 * e * s + d2 * d2 * e * c / 6.0)
+
+    return jax.lax.fori_loop(0, _STEPS, step, ecc) + _TURN * turns
 
 
 @_eccentric.defjvp
@@ -158,15 +160,17 @@ def _hyperbolic(m, e):
     for _ in range(2):  # e sinh H = m + H
         far = jnp.arcsinh((size + far) / e)
     h = jnp.minimum(near, far)
-    for _ in range(_STEPS):
+
+    def step(_, h):
         s, c = jnp.sinh(h), 2.0 * jnp.sinh(0.5 * h) ** 2
         miss = (e - 1.0) * s + _minus_sinh(h) - size
         slope = (e - 1.0) + e * c
         slope = jnp.where(slope > 0.0, slope, 1.0)
         d1 = -miss / slope
         d2 = -miss / (slope + 0.5 * d1 * e * s)
-        h = h - miss / (slope + 0.5 * d2 * e * s + d2 * d2 * e * (1.0 + c) / 6.0)
-    return jnp.sign(m) * h
+        return h - miss / (slope + 0.5 * d2 * e * s + d2 * d2 * e * (1.0 + c) / 6.0)
+
+    return jnp.sign(m) * jax.lax.fori_loop(0, _STEPS, step, h)
 
 
 @_hyperbolic.defjvp
