@@ -5,6 +5,7 @@ as arranged by Schaub and Junkins, Analytical Mechanics of Space Systems, 4th ed
 e^2 of the longitude that it leaves out.
 """
 
+import jax
 import jax.numpy as jnp
 
 from astrojax._types import Vector6, safe_sqrt
@@ -43,11 +44,12 @@ def osculating_to_mean(osculating: Vector6) -> Vector6:
     Validity: as `mean_to_osculating`, which it inverts to rounding (six steps, each a thousand times nearer).
     """
     target = _nonsingular(osculating)
-    guess = target
-    for _ in range(_STEPS):
+
+    def step(_, guess):
         miss = target - _nonsingular(_lyddane(_singular(guess)))
-        guess = guess + jnp.concatenate([miss[:5], _wrap(miss[5])[None]])
-    return _singular(guess)
+        return guess + jnp.concatenate([miss[:5], _wrap(miss[5])[None]])
+
+    return _singular(jax.lax.fori_loop(0, _STEPS, step, target))
 
 
 def _lyddane(elements: Vector6) -> Vector6:
