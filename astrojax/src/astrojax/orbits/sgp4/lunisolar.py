@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from astrojax.orbits.sgp4.near_earth import Mean, Number
+from astrojax.orbits.sgp4.trigonometry import sincos, within_a_turn
 
 _PI = 3.141592653589793
 _LYDDANE = 0.2  # inclination [rad] below which node and perigee are corrected together
@@ -153,9 +154,8 @@ def lunisolar(mean: Mean, day1900: Number) -> tuple[Body, Body, Rates]:
 
 def _periodic(body: Body, e_body: float, rate: float, minutes: Number) -> tuple:
     zm = body.m0 + rate * minutes
-    zf = zm + 2.0 * e_body * jnp.sin(zm)
-    sin_f = jnp.sin(zf)
-    f2, f3 = 0.5 * sin_f * sin_f - 0.25, -0.5 * sin_f * jnp.cos(zf)
+    sin_f, cos_f = sincos(zm + 2.0 * e_body * sincos(zm)[0])
+    f2, f3 = 0.5 * sin_f * sin_f - 0.25, -0.5 * sin_f * cos_f
     return (
         body.e2 * f2 + body.e3 * f3,
         body.i2 * f2 + body.i3 * f3,
@@ -175,19 +175,19 @@ def add_periodic(sun: Body, moon: Body, minutes: Number, elements: tuple, opsmod
         jnp.add, _periodic(sun, SUN_E, SUN_RATE, minutes), _periodic(moon, MOON_E, MOON_RATE, minutes)
     )
     inc, e = inc + di, e + de
-    sin_i, cos_i = jnp.sin(inc), jnp.cos(inc)
+    sin_i, cos_i = sincos(inc)
     high = inc >= _LYDDANE
     node = dh / jnp.where(high, sin_i, 1.0)
     plain = raan + node, argp + dg - cos_i * node, m + dl
 
     turn = jnp.full_like(raan, 2.0 * _PI)
-    sin_n, cos_n = jnp.sin(raan), jnp.cos(raan)
+    sin_n, cos_n = sincos(raan)
     alpha = sin_i * sin_n + dh * cos_n + di * cos_i * sin_n
     beta = sin_i * cos_n - dh * sin_n + di * cos_i * cos_n
-    before = jax.lax.rem(raan, turn)
+    before = within_a_turn(raan)
     if opsmode == "afspc":
         before = jnp.where(before < 0.0, before + turn, before)
-    longitude = jax.lax.rem(m + argp + cos_i * before + dl + dg - di * before * sin_i, turn)
+    longitude = within_a_turn(m + argp + cos_i * before + dl + dg - di * before * sin_i)
     undefined = (alpha == 0.0) & (beta == 0.0)
     after = jnp.arctan2(alpha, jnp.where(undefined, 1.0, beta))
     if opsmode == "afspc":

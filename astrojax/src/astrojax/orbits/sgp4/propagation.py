@@ -1,5 +1,7 @@
 """Position and velocity from a prepared satellite: the time-dependent half of SGP4 and SDP4."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
@@ -10,9 +12,10 @@ from astrojax.orbits.sgp4.lunisolar import add_periodic
 from astrojax.orbits.sgp4.near_earth import Number, long_period
 from astrojax.orbits.sgp4.resonance import EARTH_RATE, resonant_motion
 from astrojax.orbits.sgp4.satellite import Sgp4Satellite
+from astrojax.orbits.sgp4.trigonometry import sincos, turned, within_a_turn
 
-_TURN = 6.283185307179586
 _PI = 3.141592653589793
+_KEPLER_STEPS, _KEPLER_STEPS_NEAR = 5, 3  # quartic; to rounding at e = 0.99 and 0.9
 _LEAST_E = 1e-6
 _LEAST_A = 1e-6  # a semi-major axis that drag has brought to nothing, far inside the Earth
 
@@ -57,11 +60,11 @@ def sgp4(satellite: Sgp4Satellite, minutes: Scalar) -> tuple[Vector3, Vector3, I
     m = mean.m + mean.m_dot * t
     argp = mean.argp + mean.argp_dot * t
     raan = mean.raan + mean.raan_dot * t + drag.raan2 * t2
-    cube = 1.0 + drag.eta * jnp.cos(m)
-    turned = drag.argp1 * t + drag.m_cube * (cube * cube * cube - drag.cube0)
-    m, argp = m + turned, argp - turned
+    cube = 1.0 + drag.eta * sincos(m)[1]
+    moved = drag.argp1 * t + drag.m_cube * (cube * cube * cube - drag.cube0)
+    m, argp = m + moved, argp - moved
     shrunk = 1.0 - t * (drag.a1 + t * (drag.a2 + t * (drag.a3 + t * drag.a4)))
-    e_lost = drag.e1 * t + drag.e_sin * (jnp.sin(m) - drag.sin_m0)
+    e_lost = drag.e1 * t + drag.e_sin * (sincos(m)[0] - drag.sin_m0)
     l_gained = t2 * (drag.l2 + t * (drag.l3 + t * (drag.l4 + t * drag.l5)))
 
     n, a, e, inc = mean.n, mean.a, mean.e, mean.inc
@@ -76,37 +79,37 @@ def sgp4(satellite: Sgp4Satellite, minutes: Scalar) -> tuple[Vector3, Vector3, I
     e = jnp.where(outside, 0.5, jnp.where(e < _LEAST_E, _LEAST_E, e))
     m = m + mean.n * l_gained
 
-    # The report keeps angles within a turn; near the equator its deep-space part depends on that.
-    turn = jnp.full_like(t, _TURN)
-    longitude = jax.lax.rem(m + argp + raan, turn)
-    raan, argp = jax.lax.rem(raan, turn), jax.lax.rem(argp, turn)
-    m = jax.lax.rem(longitude - argp - raan, turn)
-
     sin_i, cos_i = mean.sin_inc, mean.cos_inc
     if deep is not None:
+        # The report keeps angles within a turn; near the equator its deep-space part depends on that.
+        longitude = within_a_turn(m + argp + raan)
+        raan, argp = within_a_turn(raan), within_a_turn(argp)
+        m = within_a_turn(longitude - argp - raan)
         periodic = add_periodic(deep.sun, deep.moon, t, (e, inc, raan, argp, m), satellite.opsmode)
-        e, inc, raan, argp, m = (jnp.where(deep.active, a_, b) for a_, b in zip(periodic, (e, inc, raan, argp, m)))
+        e, inc, raan, argp, m = (jnp.where(deep.active, x, y) for x, y in zip(periodic, (e, inc, raan, argp, m)))
         below = inc < 0.0
         inc = jnp.abs(inc)
         raan, argp = jnp.where(below, raan + _PI, raan), jnp.where(below, argp - _PI, argp)
         outside = (e < 0.0) | (e > 1.0)
         faults.append((outside, 3))
         e = jnp.where(outside, 0.5, e)
-        sin_i, cos_i = jnp.sin(inc), jnp.cos(inc)
+        sin_i, cos_i = sincos(inc)
 
     # Long-period terms of J3.
     xlcof, aycof = long_period(sin_i, cos_i, g)
     open_ = e < 1.0
     by_p = 1.0 / (a * jnp.where(open_, 1.0 - e * e, 1.0))
-    ax = e * jnp.cos(argp)
-    ay = e * jnp.sin(argp) + by_p * aycof
-    u = jax.lax.rem(m + argp + by_p * xlcof * ax, turn)
+    sin_w, cos_w = sincos(argp)
+    ax = e * cos_w
+    ay = e * sin_w + by_p * aycof
+    u = m + argp + by_p * xlcof * ax
     e2 = ax * ax + ay * ay
     outside = (e2 >= 1.0) | ~open_
     faults.append((outside, 4))
     ax, ay = jnp.where(outside, 0.1, ax), jnp.where(outside, 0.0, ay)
 
-    r, v, radius = _short_period(g, a, ax, ay, u, raan, inc, sin_i, cos_i)
+    steps = _KEPLER_STEPS if deep is not None else _KEPLER_STEPS_NEAR
+    r, v, radius = _short_period(g, a, ax, ay, _eccentric_longitude(u, ax, ay, steps), raan, sin_i, cos_i)
     faults.append((radius < 1.0, 6))
     status = jnp.zeros_like(satellite.status)
     for bad, code in reversed(faults):
@@ -121,8 +124,7 @@ def _deep_secular(satellite: Sgp4Satellite, g: Gravity, t: Number, raan: Number,
     e, inc = mean.e + rates.e * t, mean.inc + rates.inc * t
     raan, argp, m = raan + rates.raan * t, argp + rates.argp * t, m + rates.m * t
     longitude, n, far = resonant_motion(terms, mean, t)
-    turn = jnp.full_like(t, _TURN)
-    theta = jax.lax.rem(satellite.deep.sidereal + EARTH_RATE * t, turn)
+    theta = within_a_turn(satellite.deep.sidereal + EARTH_RATE * t)
     one_day = longitude - raan - argp + theta
     half_day = longitude - 2.0 * raan + 2.0 * theta
     resonant = terms.kind > 0
@@ -133,9 +135,9 @@ def _deep_secular(satellite: Sgp4Satellite, g: Gravity, t: Number, raan: Number,
     return n, a, e, inc, raan, argp, m, far
 
 
-def _short_period(g: Gravity, a, ax, ay, u, raan, inc, sin_i, cos_i) -> tuple[Vector3, Vector3, Number]:
+def _short_period(g: Gravity, a, ax, ay, longitude, raan, sin_i, cos_i) -> tuple[Vector3, Vector3, Number]:
     """Cartesian state [m, m/s] with the short-period terms of J2, and the radius [Earth radii]."""
-    sin_e, cos_e = _kepler(u, ax, ay)
+    sin_e, cos_e = sincos(longitude)
     e_cos, e_sin = ax * cos_e + ay * sin_e, ax * sin_e - ay * cos_e
     shape = 1.0 - (ax * ax + ay * ay)
     p = a * shape
@@ -154,15 +156,15 @@ def _short_period(g: Gravity, a, ax, ay, u, raan, inc, sin_i, cos_i) -> tuple[Ve
     con41, x1mth2, x7thm1 = 3.0 * c2 - 1.0, 1.0 - c2, 7.0 * c2 - 1.0
     n = g.ke / (a * jnp.sqrt(a))
     radius = r * (1.0 - 1.5 * k2 * beta * con41) + 0.5 * k1 * x1mth2 * cos_2u
-    argument = jnp.arctan2(sin_u, cos_u) - 0.25 * k2 * x7thm1 * sin_2u
+    d_argument = -0.25 * k2 * x7thm1 * sin_2u
+    d_incline = 1.5 * k2 * cos_i * sin_i * cos_2u
     node = raan + 1.5 * k2 * cos_i * sin_2u
-    incline = inc + 1.5 * k2 * cos_i * sin_i * cos_2u
     radial = r_dot - n * k1 * x1mth2 * sin_2u / g.ke
     across = rf_dot + n * k1 * (x1mth2 * cos_2u + 1.5 * con41) / g.ke
 
-    sin_a, cos_a = jnp.sin(argument), jnp.cos(argument)
-    sin_n, cos_n = jnp.sin(node), jnp.cos(node)
-    sin_t, cos_t = jnp.sin(incline), jnp.cos(incline)
+    sin_a, cos_a = turned(sin_u, cos_u, d_argument)
+    sin_t, cos_t = turned(sin_i, cos_i, d_incline)
+    sin_n, cos_n = sincos(node)
     x, y = -sin_n * cos_t, cos_n * cos_t
     out = jnp.stack([x * sin_a + cos_n * cos_a, y * sin_a + sin_n * cos_a, sin_t * sin_a])
     along = jnp.stack([x * cos_a - cos_n * sin_a, y * cos_a - sin_n * sin_a, sin_t * cos_a])
@@ -170,14 +172,14 @@ def _short_period(g: Gravity, a, ax, ay, u, raan, inc, sin_i, cos_i) -> tuple[Ve
     return g.radius * radius * out, speed * (radial * out + across * along), radius
 
 
-@jax.custom_jvp
-def _eccentric_longitude(u: Number, ax: Number, ay: Number) -> Number:
+@functools.partial(jax.custom_jvp, nondiff_argnums=(3,))
+def _eccentric_longitude(u: Number, ax: Number, ay: Number, steps: int) -> Number:
     """The angle E + perigee with E - e sin E = M, for e cos(perigee) and e sin(perigee)."""
-    sin_u, cos_u = jnp.sin(u), jnp.cos(u)
+    sin_u, cos_u = sincos(u)
     s, c = ax * sin_u - ay * cos_u, ax * cos_u + ay * sin_u  # e sin M, e cos M
     f = u + s * jax.lax.rsqrt(1.0 - 2.0 * c + ax * ax + ay * ay)  # off by O(e^3)
-    for _ in range(_KEPLER_STEPS):
-        sin_f, cos_f = jnp.sin(f), jnp.cos(f)
+    for _ in range(steps):
+        sin_f, cos_f = sincos(f)
         es, ec = ax * sin_f - ay * cos_f, ax * cos_f + ay * sin_f
         miss, slope = f - es - u, 1.0 - ec
         d1 = -miss / slope
@@ -187,17 +189,9 @@ def _eccentric_longitude(u: Number, ax: Number, ay: Number) -> Number:
 
 
 @_eccentric_longitude.defjvp
-def _eccentric_longitude_jvp(primals, tangents):
+def _eccentric_longitude_jvp(steps, primals, tangents):
     u, ax, ay = primals
     du, dx, dy = tangents
-    f = _eccentric_longitude(u, ax, ay)
-    s, c = jnp.sin(f), jnp.cos(f)
+    f = _eccentric_longitude(u, ax, ay, steps)
+    s, c = sincos(f)
     return f, (du + s * dx - c * dy) / (1.0 - ax * c - ay * s)
-
-
-_KEPLER_STEPS = 5
-
-
-def _kepler(u, ax, ay):
-    f = _eccentric_longitude(u, ax, ay)
-    return jnp.sin(f), jnp.cos(f)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from astrojax.orbits.sgp4.lunisolar import Rates
 from astrojax.orbits.sgp4.near_earth import Mean, Number
+from astrojax.orbits.sgp4.trigonometry import sincos
 
 EARTH_RATE = 4.37526908801129966e-3  # [rad/min], of the theory
 STEP = 720.0  # [min]
@@ -158,8 +159,9 @@ def _slopes(kind, amplitude, argp, longitude, n, drift):
     k_argp, k_long, phase = jnp.moveaxis(jnp.where(kind == 1, one_day, half_day), -1, 0)
     angle = k_argp * argp + k_long * longitude - phase
     rate = n + drift
-    n_dot = jnp.sum(amplitude * jnp.sin(angle))
-    n_ddot = jnp.sum(amplitude * k_long * jnp.cos(angle)) * rate
+    sine, cosine = sincos(angle)
+    n_dot = jnp.sum(amplitude * sine)
+    n_ddot = jnp.sum(amplitude * k_long * cosine) * rate
     return rate, n_dot, n_ddot
 
 
