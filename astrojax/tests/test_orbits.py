@@ -166,8 +166,8 @@ def test_mean_elements_of_a_numerical_orbit_hardly_move(mean, x64):
 
 
 def test_mean_elements_against_brahe(rng, quick, x64):
-    """The same theory: semi-major axis exactly, eccentricity but for its e^2; its node is not compared: it moves
-    ten times as much as the osculating one on a numerical orbit."""
+    """The same theory: semi-major axis and eccentricity. Its angles are not compared: taken along a numerical orbit,
+    its mean node moves ten times as much as the osculating one, ours a thousandth of that (the test above)."""
     mean = np.stack([rng.uniform(6.8e6, 2e7, 100), rng.uniform(0, 0.3, 100), rng.uniform(1.2, 3, 100),
                      *rng.uniform(0, 6.28, (3, 100))], axis=1)  # fmt: skip
     mean = mean[np.abs(mean[:, 2] - orbits.CRITICAL_INCLINATION) * np.abs(mean[:, 2] - 2.03) > 0.02]
@@ -176,7 +176,7 @@ def test_mean_elements_against_brahe(rng, quick, x64):
     for m, o in zip(mean, ours):
         theirs = brahe.state_koe_mean_to_osc(m, brahe.MeanElementMethod.BROUWER_LYDDANE, RADIANS)
         assert o[0] == pytest.approx(theirs[0], abs=1e-6)
-        np.testing.assert_allclose(o[1:3], theirs[1:3], rtol=0, atol=1e-4)
+        assert o[1] == pytest.approx(theirs[1], abs=2e-6)
     np.testing.assert_allclose(back[:, :3], mean[:, :3], rtol=1e-10)
     off = (back[:, 3:] - mean[:, 3:] + np.pi) % (2 * np.pi) - np.pi
     np.testing.assert_allclose(off * mean[:, 1:2], 0.0, rtol=0, atol=1e-10)
