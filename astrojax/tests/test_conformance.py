@@ -7,6 +7,7 @@ import functools
 import inspect
 import pathlib
 import re
+import runpy
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -258,6 +259,11 @@ CASES = [
     case("accel_euler", attitude.accel_euler, (A([0.01, -0.02, 0.03]), INERTIA, A([10.0, -5.0, 2.0])), rtol32=1e-5),
     case("torque_gravity_gradient", attitude.torque_gravity_gradient, (LEO, INERTIA, GM), rtol32=1e-5),
 ]
+
+# Rooms that grew later keep their cases beside their tests.
+BESIDE = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py"))]
+CASES += [c for names in BESIDE for c in names["cases"](case)]
+NOT_PHYSICS = NOT_PHYSICS.union(*(names.get("HOST", ()) for names in BESIDE))
 
 
 def cast(args, dtype):

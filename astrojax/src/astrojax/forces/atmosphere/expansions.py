@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax._types import FloatScalar
+from astrojax.compilation import stored
 from astrojax.forces.atmosphere.tables import BASE, LEGENDRE, LOWER_TERMS, NITROGEN_ATOM, UPPER_TERMS, tables
 
 DEGREE = 1.74533e-2  # the model's own radians of a degree
@@ -165,7 +166,7 @@ def lower(at: Moment, activity: Float[Array, "14"]) -> Float[Array, "14"]:
 def _terms(matrix, names, functions):
     """Every term of every expansion: one product with the Legendre functions."""
     product = jnp.matmul(jnp.asarray(matrix, functions.dtype), functions, precision=jax.lax.Precision.HIGHEST)
-    return dict(zip(names, jnp.reshape(product, (len(names), -1)), strict=True))
+    return dict(zip(names, stored(jnp.reshape(product, (len(names), -1))), strict=True))
 
 
 def _weights(at):
@@ -175,9 +176,8 @@ def _weights(at):
 
 def _seasons(day, p):
     """Annual and semiannual waves, symmetric about the equator and not, with each expansion's own phase."""
-    return tuple(
-        jnp.cos(multiple * _YEAR * (day - p[phase])) for phase, multiple in ((31, 1), (17, 2), (13, 1), (38, 2))
-    )
+    waves = ((31, 1), (17, 2), (13, 1), (38, 2))
+    return stored(tuple(jnp.cos(multiple * _YEAR * (day - p[phase])) for phase, multiple in waves))
 
 
 def _daily(at, p):

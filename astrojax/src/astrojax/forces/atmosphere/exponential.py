@@ -42,9 +42,7 @@ _TABLE = np.array(
 _LOG_DENSITY = np.log(_TABLE[:, 1])
 
 
-def density_exponential(
-    r: Vector3, density: Scalar, height: Scalar, scale_height: Scalar
-) -> FloatScalar:
+def density_exponential(r: Vector3, density: Scalar, height: Scalar, scale_height: Scalar) -> FloatScalar:
     """Atmospheric density that falls by e over each scale height [kg/m^3].
 
     Args:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
 from astrojax._types import FloatScalar, Scalar, Vector3
+from astrojax.compilation import stored
 from astrojax.forces.atmosphere import expansions, species
 from astrojax.forces.atmosphere import tables as t
 from astrojax.forces.atmosphere.coordinates import geodetic, year_and_day
@@ -115,9 +116,9 @@ def _model(km, at, sine):
     def weight(i):
         return at.main[i - 1]
 
-    varied, (active, active_below) = expansions.upper(at)
+    varied, (active, active_below) = stored(expansions.upper(at))
     activity = jnp.stack([active] * 4 + [active_below] * 8 + [active, active_below])
-    bent = expansions.lower(at, activity)
+    bent = stored(expansions.lower(at, activity))
 
     # Gravity of the mean latitude where the model is not to depend on latitude.
     double = 2.0 * sine * sine
@@ -137,7 +138,7 @@ def _model(km, at, sine):
     nodes = still[t.THERMOSPHERE] / (1.0 - varies * bent[t.THERMOSPHERE])
     slope = still[t.GRADIENT_THERMOSPHERE] * (1.0 + varies[3] * bent[t.GRADIENT_THERMOSPHERE])
     slope = slope * (nodes[3] / still[3]) ** 2
-    upper = thermosphere(earth, exosphere, base, shape, (join, *NODES), nodes, slope)
+    upper = stored(thermosphere(earth, exosphere, base, shape, (join, *NODES), nodes, slope))
 
     logs, log_mixed, log_hot, warm = species.densities(earth, upper, over, varied, weight, at)
     high = 1e6 * jnp.exp(logs)
@@ -151,12 +152,14 @@ def _model(km, at, sine):
     low = still[t.STRATOSPHERE] / (1.0 - weight(22) * bent[t.STRATOSPHERE])
     ground_slope = still[t.GRADIENT_GROUND] * (1.0 + weight(22) * bent[t.GRADIENT_GROUND])
     ground_slope = ground_slope * (low[3] / still[t.STRATOSPHERE][3]) ** 2
-    mesosphere = layer(earth, _MIDDLE, middle, (slope, join_slope))
-    troposphere = layer(earth, _LOW, jnp.concatenate([middle[3:], low]), (join_slope, ground_slope))
+    mesosphere = stored(layer(earth, _MIDDLE, middle, (slope, join_slope)))
+    troposphere = stored(layer(earth, _LOW, jnp.concatenate([middle[3:], low]), (join_slope, ground_slope)))
     (cold, lost), (cool, lost_low) = descend(earth, mesosphere, km), descend(earth, troposphere, km)
     cold = jnp.where(km > _LOW[0], cold, cool)
     log_air = jnp.log(middle[0] / cold) + species.MIXED_MASS * (lost + lost_low)
-    mixed = _mixed(high, 1e6 * jnp.exp(log_mixed), jnp.exp(log_air), jnp.clip((km - _MIXED) / (_TOP - _MIXED), 0.0, 1.0))
+    mixed = _mixed(
+        high, 1e6 * jnp.exp(log_mixed), jnp.exp(log_air), jnp.clip((km - _MIXED) / (_TOP - _MIXED), 0.0, 1.0)
+    )
 
     above = km >= _TOP
     number = jnp.where(above, high, mixed)

@@ -11,7 +11,12 @@ from astrojax.forces.atmosphere.space_weather import MONTHLY, OBSERVED, PREDICTE
 
 _SECTIONS = {"OBSERVED": OBSERVED, "DAILY_PREDICTED": PREDICTED, "MONTHLY_PREDICTED": MONTHLY}
 _TYPES = {"OBS": OBSERVED, "INT": OBSERVED, "PRD": PREDICTED, "PRM": MONTHLY}
-_FIELDS = {"ap": [(46 + 4 * i, 50 + 4 * i) for i in range(8)], "ap_daily": (78, 82), "f107": (112, 118), "f107a": (118, 124)}
+_FIELDS = {
+    "ap": [(46 + 4 * i, 50 + 4 * i) for i in range(8)],
+    "ap_daily": (78, 82),
+    "f107": (112, 118),
+    "f107a": (118, 124),
+}
 _MJD_ZERO = datetime.date(1858, 11, 17)
 
 
@@ -51,7 +56,9 @@ def parse_space_weather(text: str) -> SpaceWeatherTable:
         raise ValueError("text: expected space weather as CelesTrak publishes it, got no row of data")
     days = np.array([row["day"] for row in rows])
     if np.any(np.diff(days) <= 0):
-        raise ValueError(f"text: expected rows in order of their days, got {_date(days[np.argmin(np.diff(days))])} twice")
+        raise ValueError(
+            f"text: expected rows in order of their days, got {_date(days[np.argmin(np.diff(days))])} twice"
+        )
     gaps = [i for i in range(len(rows) - 1) if days[i + 1] - days[i] > 1 and rows[i + 1]["kind"] != MONTHLY]
     if gaps:
         raise ValueError(f"text: expected a row for every day, got none after {_date(days[gaps[0]])}")
@@ -60,6 +67,8 @@ def parse_space_weather(text: str) -> SpaceWeatherTable:
         name: np.repeat(np.array([row[name] for row in rows], np.int16), repeat, axis=0)
         for name in ("f107", "f107a", "ap_daily", "ap", "kind")
     }
+    # What is held over days without a row of their own is known by the month at best.
+    columns["kind"][np.setdiff1d(np.arange(len(columns["kind"])), days - days[0])] = MONTHLY
     return SpaceWeatherTable(first_day=np.int32(days[0]), **columns)
 
 

@@ -9,6 +9,7 @@ chemical corrections.
 import jax.numpy as jnp
 import numpy as np
 
+from astrojax.compilation import stored
 from astrojax.forces.atmosphere import tables as t
 from astrojax.forces.atmosphere.profile import GAS, NODES, Planet, Thermosphere, factors, thermosphere
 
@@ -43,7 +44,7 @@ def densities(earth: Planet, profile: Thermosphere, height, varied, weight, at):
     turbopause = jnp.asarray(density[:7, 2], dtype)
     swing = jnp.asarray(np.where(np.arange(7) == _NITROGEN, turbo[1, 24], 0.0), dtype)
     turbopause = turbopause * (jnp.asarray(np.arange(7) != _NITROGEN, dtype) + swing * (1.0 + seasonal))
-    temperature, a, b = factors(earth, profile, jnp.concatenate([turbopause, height[None]]))
+    temperature, a, b = stored(factors(earth, profile, jnp.concatenate([turbopause, height[None]])))
     a_turbo, b_turbo, a, b = a[:7], b[:7], a[7], b[7]
     diffused = base + (1.0 + diffusion) * a + mass * b
     mixed_base = base + diffusion * a_turbo + (mass - MIXED_MASS) * b_turbo
@@ -106,7 +107,7 @@ def _hot_oxygen(earth, profile, height, varied, weight):
     dtype = varied.dtype
     hot = jnp.asarray(density[9] * turbo[0, 6], dtype)
     base = float(np.log(density[0] * t.tables().upper[t.HOT, 0])) + weight(21) * varied[t.HOT]
-    own = thermosphere(earth, hot, hot, profile.shape, (profile.join, *NODES), profile.nodes, profile.slope)
+    own = stored(thermosphere(earth, hot, hot, profile.shape, (profile.join, *NODES), profile.nodes, profile.slope))
     _, a, b = factors(earth, own, height)
     scale = GAS * hot / (earth.at(density[4]) * 16.0)
     fall = density[5] / scale * (jnp.exp(-(height - density[4]) / density[5]) - 1.0)
