@@ -65,7 +65,7 @@ def test_nrlmsise00_against_the_original_fortran(compiled, reference):
     theirs = reference["single"].astype(float)
     known = np.isfinite(theirs) & (theirs > 1e-30) & (species > 0)
     difference = np.where(known, np.abs(species / np.where(known, theirs, 1.0) - 1.0), 0.0)
-    assert np.max(difference[:, :8]) < 5e-4
+    assert np.max(difference[:, :8]) < 1e-3
     assert np.max(difference[:, 8]) < 8e-5
     assert np.max(difference[:, 9]) < 1e-5
     assert np.median(difference[:, 8]) < 2e-6
@@ -103,51 +103,65 @@ def test_gradients_are_finite_at_every_height_and_place(quick, x64):
     storm = atmosphere.constant_space_weather(jnp.float64(180.0), jnp.float64(150.0), jnp.float64(48.0))
 
     def log_density(r, seconds, weather):
+        weather = atmosphere.SpaceWeather(*weather)
         return jnp.log(atmosphere.density_nrlmsise00(r, 60000, seconds, weather, atmosphere.STORM_TIME))
 
-    gradient = quick(jax.vmap(jax.grad(log_density, argnums=(0, 2), allow_int=True), in_axes=(0, None, None)))
+    # Forward mode compiles in a third of the time; the conformance cases take the reverse.
+    gradient = quick(jax.vmap(jax.jacfwd(log_density, argnums=(0, 2)), in_axes=(0, None, None)))
     for dtype in (jnp.float64, jnp.float32):
-        weather = jax.tree.map(lambda x: jnp.asarray(x, dtype), storm._replace(status=0))
+        weather = tuple(x.astype(dtype) for x in storm[:3])
         by_place, by_weather = gradient(jnp.asarray(r.reshape(-1, 3), dtype), jnp.asarray(4e4, dtype), weather)
+        assert by_place.dtype == dtype
         assert np.all(np.isfinite(by_place))
-        assert all(np.all(np.isfinite(x)) for x in by_weather[:3])
+        assert all(np.all(np.isfinite(x)) for x in by_weather)
 
 
-def test_sweeping_switches_and_weather_recompiles_nothing(x64):
+def test_sweeping_switches_and_weather_recompiles_nothing(quick, x64):
     traces = []
 
-    @jax.jit
-    def density(height, weather, switches):
+    def density(weather, switches):
         traces.append(1)
-        return height * jnp.sum(jnp.asarray(switches)) * weather.f107
+        return atmosphere.nrlmsise00(
+            jnp.asarray(4e5), jnp.asarray(0.5), jnp.asarray(0.2), 80, 3e4, weather, switches
+        ).density
 
+    compiled = quick(density)
+    found = []
     for k in range(4):
         switches = jnp.asarray(atmosphere.ALL_ON).at[k].set(0.5)
-        density(jnp.float64(4e5 + k), atmosphere.SpaceWeather(jnp.float64(80.0 + k), 80.0, jnp.full(7, 4.0)), switches)
+        weather = atmosphere.constant_space_weather(jnp.asarray(80.0 + k), jnp.asarray(80.0), jnp.asarray(4.0))
+        found.append(float(compiled(weather, switches)))
     assert len(traces) == 1
+    assert len(set(found)) == 4
 
 
-def test_density_of_a_position_and_an_epoch(quick, x64):
-    """Coordinates, day of the year and local time are brahe's; and so is the density, which leaves hot oxygen out."""
-    table = atmosphere.load_space_weather()
-    brahe.set_global_space_weather_provider(brahe.FileSpaceWeatherProvider.from_default_file())
-    density = quick(jax.vmap(lambda r, day, s: density_with(table, r, day, s)))
+def test_density_of_a_position_and_an_epoch(quick, x64, rng):
+    """Latitude, longitude and height are brahe's, and the day of the year the calendar's."""
+    weather = atmosphere.constant_space_weather(jnp.asarray(150.0), jnp.asarray(140.0), jnp.asarray(15.0))
+    day, seconds = 60369, 123456.0  # 2024-02-29, but seconds of the day after
+    r = np.array([-4.1e6, 3.9e6, 3.7e6])
+    found = quick(atmosphere.density_nrlmsise00)(jnp.asarray(r), day, jnp.asarray(seconds), weather)
+    longitude, latitude, height = brahe.position_ecef_to_geodetic(r, brahe.AngleFormat.RADIANS)
+    place = (jnp.asarray(x) for x in (height, latitude, longitude))
+    air = quick(atmosphere.nrlmsise00)(*place, 61, seconds - 86400.0, weather)
+    np.testing.assert_allclose(found, air.density_effective, rtol=1e-9)
+
+
+def test_density_against_brahe(quick, x64):
+    """brahe takes the flux of the day for its mean too, so they are one number here; its activity is the daily one."""
+    constant = brahe.StaticSpaceWeatherProvider.from_values(3.0, 15.0, 150.0, 150.0, 100)
+    brahe.set_global_space_weather_provider(constant)
+    weather = atmosphere.constant_space_weather(jnp.asarray(150.0), jnp.asarray(150.0), jnp.asarray(15.0))
+    density = quick(jax.vmap(lambda r, day, s: atmosphere.density_nrlmsise00(r, day, s, weather)))
     rng = np.random.default_rng(3)
     n = 12
     direction = rng.normal(size=(n, 3))
-    r = direction / np.linalg.norm(direction, axis=1)[:, None] * (6371e3 + rng.uniform(2e5, 4.5e5, n))[:, None]
-    days, seconds = rng.integers(45000, 61000, n), rng.uniform(0, 86400, n)
-    found = np.asarray(density(jnp.asarray(r), jnp.asarray(days), jnp.asarray(seconds)))
-    expected = [
-        brahe.density_nrlmsise00(brahe.Epoch.from_mjd(d + s / 86400, brahe.TimeSystem.UTC), x)
-        for d, s, x in zip(days, seconds, r)
-    ]
-    np.testing.assert_allclose(found, expected, rtol=2e-2)
-
-
-def density_with(table, r, day, seconds):
-    weather = atmosphere.space_weather(table, day, seconds)
-    return atmosphere.density_nrlmsise00(r, day, seconds, weather, atmosphere.STORM_TIME)
+    r = direction / np.linalg.norm(direction, axis=1)[:, None] * (6371e3 + rng.uniform(2e5, 9e5, n))[:, None]
+    days, seconds = rng.integers(51000, 61000, n), rng.uniform(0, 86400, n)
+    epochs = [brahe.Epoch.from_mjd(float(d), brahe.TimeSystem.UTC) + float(s) for d, s in zip(days, seconds)]
+    expected = [brahe.density_nrlmsise00(epoch, x) for epoch, x in zip(epochs, r)]
+    found = density(jnp.asarray(r), jnp.asarray(days), jnp.asarray(seconds))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_geodetic_coordinates(x64, rng):
@@ -214,30 +228,12 @@ def test_space_weather_says_what_it_does_not_know(quick, x64):
     assert found[-1].f107a == found[-3].f107a
 
 
-TEXT = """DATATYPE CssiSpaceWeather
-BEGIN OBSERVED
-2003 10 29 2323 23 40 47 90 83 73 73 87 87 580  27  39 400 236 154 154 300 300 204 2.1 9 230 274.8 0 137.9 134.2 279.1 139.3 133.1
-2003 10 30 2323 24 87 80 67 57 57 80 90 90 608 300 207 111  67  67 207 400 400 191 2.1 9 293 267.4 0 138.2 136.1 271.4 139.6 135.1
-END OBSERVED
-BEGIN DAILY_PREDICTED
-2003 10 31 2323 25 83 67 60 67 57 60 43 33 470 236 111  80 111  67  80  32  18 116 1.9 8 244 245.3   138.3 137.9 248.9 139.7 136.9
-END DAILY_PREDICTED
-BEGIN MONTHLY_PREDICTED
-2003 12 01 2325  2                                                                        70 110.2   139.5 138.2 113.6 141.2 137.7
-2004 01 01 2326  6                                                                        70 111.2   139.5 138.2 114.6 142.2 137.7
-END MONTHLY_PREDICTED
-"""
-CSV = """DATE,BSRN,ND,KP1,KP2,KP3,KP4,KP5,KP6,KP7,KP8,KP_SUM,AP1,AP2,AP3,AP4,AP5,AP6,AP7,AP8,AP_AVG,CP,C9,ISN,F10.7_OBS,F10.7_ADJ,F10.7_DATA_TYPE,F10.7_OBS_CENTER81,F10.7_OBS_LAST81,F10.7_ADJ_CENTER81,F10.7_ADJ_LAST81
-2003-10-29,2323,23,40,47,90,83,73,73,87,87,580,27,39,400,236,154,154,300,300,204,2.1,9,230,279.1,274.8,OBS,139.3,133.1,137.9,134.2
-2003-10-30,2323,24,87,80,67,57,57,80,90,90,608,300,207,111,67,67,207,400,400,191,2.1,9,293,271.4,267.4,OBS,139.6,135.1,138.2,136.1
-2003-10-31,2323,25,83,67,60,67,57,60,43,33,470,236,111,80,111,67,80,32,18,116,1.9,8,244,248.9,245.3,PRD,139.7,136.9,138.3,137.9
-2003-12-01,2325,2,,,,,,,,,,,,,,,,,,,,,70,113.6,110.2,PRM,141.2,137.7,139.5,138.2
-2004-01-01,2326,6,,,,,,,,,,,,,,,,,,,,,70,114.6,111.2,PRM,142.2,137.7,139.5,138.2
-"""
+TEXT, CSV = ((DATA / f"space_weather.{end}").read_text(encoding="utf-8") for end in ("txt", "csv"))
 
 
 @pytest.mark.parametrize("text", [TEXT, CSV], ids=["text", "csv"])
 def test_both_published_formats(text, tmp_path):
+    """Two days of a storm, one predicted, and two months."""
     (tmp_path / "weather").write_text(text, encoding="utf-8")
     table = atmosphere.load_space_weather(tmp_path / "weather")
     assert table.first_day == 52941

@@ -259,11 +259,10 @@ CASES = [
     case("accel_euler", attitude.accel_euler, (A([0.01, -0.02, 0.03]), INERTIA, A([10.0, -5.0, 2.0])), rtol32=1e-5),
     case("torque_gravity_gradient", attitude.torque_gravity_gradient, (LEO, INERTIA, GM), rtol32=1e-5),
 ]
-
-# Rooms that grew later keep their cases beside their tests.
-BESIDE = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py"))]
-CASES += [c for names in BESIDE for c in names["cases"](case)]
-NOT_PHYSICS = NOT_PHYSICS.union(*(names.get("HOST", ()) for names in BESIDE))
+# Each topic's own cases, and what of it is no physics.
+TOPICS = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py"))]
+CASES += [c for topic in TOPICS for c in topic["cases"](case)]
+NOT_PHYSICS |= {name for topic in TOPICS for name in topic.get("HOST", ())}
 
 
 def cast(args, dtype):

@@ -3,8 +3,8 @@
     python astrojax/tools/space_weather_table.py [SW-All.txt]
 
 Without a file the rows are read from the data that brahe 1.8 (MIT licence) ships, day by day through its public
-functions. They are CelesTrak's compilation of the indices of GFZ Potsdam (Kp and Ap, CC BY 4.0) and of the Dominion Radio
-Astrophysical Observatory (F10.7), with the predictions of NOAA and NASA.
+functions. They are CelesTrak's compilation of the indices of GFZ Potsdam (Kp and Ap, CC BY 4.0) and of the Dominion
+Radio Astrophysical Observatory (F10.7), with the predictions of NOAA and NASA.
 """
 
 import sys

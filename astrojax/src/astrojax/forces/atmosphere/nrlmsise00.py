@@ -125,13 +125,14 @@ def _model(km, at, sine):
     earth = planet(jnp.where(weight(2) > 0, 1.0 - double, math.cos(2.0 * expansions.DEGREE * 45.0)))
 
     # Temperatures: of the exosphere, the base, the nodes; each varies only where it matters.
-    mean, rows = tables.temperature, tables.upper[:, 0]
+    mean, rows = tables.temperature.tolist(), tables.upper[:, 0].tolist()
     join = float(tables.turbopause[1, 15])
     exosphere = mean[0] * rows[t.EXOSPHERE] * (1.0 + weight(16) * jnp.where(over > join, varied[t.EXOSPHERE], 0.0))
     gradient = mean[3] * rows[t.GRADIENT] * (1.0 + weight(19) * jnp.where(over > _TOP, varied[t.GRADIENT], 0.0))
     base = mean[1] * rows[t.BASE] * (1.0 + weight(17) * varied[t.BASE])
     shape = gradient / (exosphere - base)
-    still = tables.lower[:, 0] * np.concatenate([mean[[6, 2, 7, 4]], tables.mean[:8], mean[[8]], tables.mean[[8]]])
+    warm, cold = tables.temperature, tables.mean
+    still = tables.lower[:, 0] * np.concatenate([warm[[6, 2, 7, 4]], cold[:8], warm[[8]], cold[[8]]])
     still = jnp.asarray(still, dtype)
     lower_on = weight(18) * jnp.where(over < _STILL, 1.0, 0.0)
     varies = jnp.stack([lower_on, lower_on, lower_on, lower_on * weight(20)])
@@ -179,7 +180,7 @@ def _model(km, at, sine):
 def _mixed(high, mixed, gain, share):
     """Densities below 72.5 km, from those there: what is mixed, and a `share` of its departure from the mixture."""
     nitrogen = mixed * gain * (1.0 + (high[2] / mixed - 1.0) * share)
-    ratio = t.tables().density[:, 1]
+    ratio = t.tables().density[:, 1].tolist()
     found = {2: nitrogen}
     for i in (0, 3, 4):  # He, O2, Ar
         found[i] = nitrogen * ratio[i] * (1.0 + (high[i] / (high[2] * ratio[i]) - 1.0) * share)

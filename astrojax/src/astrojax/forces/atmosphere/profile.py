@@ -10,6 +10,7 @@ Source: Picone et al. (2002), appendix A; Bates (1959), Proc. R. Soc. London A 2
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from astrojax._types import FloatScalar
@@ -50,8 +51,8 @@ class Layer(NamedTuple):
         pull: inverse scale height of a unit mass, times temperature, over the span.
     """
 
-    top: float | FloatScalar
-    bottom: float
+    top: FloatScalar
+    bottom: FloatScalar
     span: FloatScalar
     x: Float[Array, "N"]
     y: Float[Array, "N"]
@@ -74,7 +75,8 @@ def layer(earth: Planet, heights: tuple, temperatures: Float[Array, "N"], slopes
     stretched = ((earth.radius + bottom) / (earth.radius + top)) ** 2
     first = -slopes[0] * y[0] * y[0] * span
     last = -slopes[1] * y[-1] * y[-1] * span * stretched
-    return Layer(top, bottom, span, x, y, _bends(x, y, first, last), earth.at(top) * span / GAS)
+    ends = (jnp.asarray(height, span.dtype) for height in (top, bottom))
+    return Layer(*ends, span, x, y, _bends(x, y, first, last), earth.at(top) * span / GAS)
 
 
 def _bends(x, y, first, last):
@@ -95,19 +97,19 @@ def _bends(x, y, first, last):
     return jnp.stack(bends[::-1])
 
 
-def descend(earth: Planet, spline: Layer, height: Array) -> tuple[Array, Array]:
+def descend(earth: Planet, spline: Layer, height: FloatScalar) -> tuple[FloatScalar, FloatScalar]:
     """Temperature [K], and logarithm of pressure gained by a gas of unit mass, down from the layer's top.
 
     Args:
-        height: [km], any shape; held at the layer's ends.
+        height: [km]; held at the layer's ends.
     """
     height = jnp.clip(height, spline.bottom, spline.top)
-    x = (earth.rise(height, spline.top) / spline.span)[..., None]
+    x = earth.rise(height, spline.top) / spline.span
     low, high, step = spline.x[:-1], spline.x[1:], spline.x[1:] - spline.x[:-1]
     ya, yb, ca, cb = spline.y[:-1], spline.y[1:], spline.bend[:-1], spline.bend[1:]
 
     # The interval the height lies in, and every interval's part above the height.
-    inside = (x >= low) & ((x < high) | (jnp.arange(len(low)) == len(low) - 1))
+    inside = (x >= low) & ((x < high) | (np.arange(len(low)) == len(low) - 1))
     reached = jnp.clip(x, low, high)
     a, b = (high - reached) / step, (reached - low) / step
     square = step * step / 6.0
@@ -115,8 +117,7 @@ def descend(earth: Planet, spline: Layer, height: Array) -> tuple[Array, Array]:
     a2, b2 = a * a, b * b
     part = 0.5 * ((1.0 - a2) * ya + b2 * yb)
     part += ((0.5 * a2 - 0.25 * (1.0 + a2 * a2)) * ca + (0.25 * b2 * b2 - 0.5 * b2) * cb) * square
-    inverse = jnp.sum(jnp.where(inside, inverse, 0.0), axis=-1)
-    return 1.0 / inverse, -spline.pull * jnp.sum(part * step, axis=-1)
+    return 1.0 / jnp.sum(jnp.where(inside, inverse, 0.0)), -spline.pull * jnp.sum(part * step)
 
 
 class Thermosphere(NamedTuple):
@@ -129,7 +130,7 @@ class Thermosphere(NamedTuple):
         nodes, slope: what it was made from.
     """
 
-    join: float
+    join: FloatScalar
     exosphere: FloatScalar
     base: FloatScalar
     shape: FloatScalar
@@ -155,15 +156,15 @@ def thermosphere(
         nodes: (N - 1,) temperatures at the nodes below the join [K].
         slope: dT/dz at the lowest node, as `layer` takes it.
     """
-    join = heights[0]
+    join = jnp.asarray(heights[0], base.dtype)
     meeting = exosphere - (exosphere - base) * jnp.exp(-shape * earth.rise(join, BASE))
     rate = (exosphere - meeting) * shape * ((earth.radius + BASE) / (earth.radius + join)) ** 2
     below = layer(earth, heights, jnp.concatenate([meeting[None], nodes]), (rate, slope))
     return Thermosphere(join, exosphere, base, shape, below, nodes, slope)
 
 
-def factors(earth: Planet, profile: Thermosphere, height: Array) -> tuple[Array, Array, Array]:
-    """Temperature [K], and the A and B of the density, at heights of any shape [km]."""
+def factors(earth: Planet, profile: Thermosphere, height: FloatScalar) -> tuple[FloatScalar, FloatScalar, FloatScalar]:
+    """Temperature [K], and the A and B of the density, at a height [km]."""
     rise = earth.rise(jnp.maximum(height, profile.join), BASE)
     bates = profile.exosphere - (profile.exosphere - profile.base) * jnp.exp(-profile.shape * rise)
     spline, gained = descend(earth, profile.below, height)

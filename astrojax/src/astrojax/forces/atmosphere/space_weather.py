@@ -7,7 +7,7 @@ Picone et al. (2002).
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, Int, Real, Shaped
+from jaxtyping import Array, ArrayLike, Int, Real, Shaped
 
 from astrojax._types import FloatScalar, Scalar, float_dtype
 from astrojax.time import normalize_epoch

@@ -11,6 +11,7 @@ from astrojax.forces.atmosphere.space_weather import MONTHLY, OBSERVED, PREDICTE
 
 _SECTIONS = {"OBSERVED": OBSERVED, "DAILY_PREDICTED": PREDICTED, "MONTHLY_PREDICTED": MONTHLY}
 _TYPES = {"OBS": OBSERVED, "INT": OBSERVED, "PRD": PREDICTED, "PRM": MONTHLY}
+_AP = [(46 + 4 * i, 50 + 4 * i) for i in range(8)]
 _FIELDS = {
     "ap": [(46 + 4 * i, 50 + 4 * i) for i in range(8)],
     "ap_daily": (78, 82),
@@ -24,8 +25,8 @@ def load_space_weather(path: str | Path | None = None) -> SpaceWeatherTable:
     """A table of space weather (host side).
 
     Args:
-        path: a file as CelesTrak publishes it, `SW-All.txt` or `SW-All.csv`; None for the bundled table, which begins on
-            1957-10-01 and is measured to 2026-10-15, predicted by day to 2026-11-29 and by month to 2041-10-01.
+        path: a file as CelesTrak publishes it, `SW-All.txt` or `SW-All.csv`; None for the bundled table, which begins
+            on 1957-10-01 and is measured to 2026-10-15, predicted by day to 2026-11-29 and by month to 2041-10-01.
 
     Returns:
         The table, of NumPy integers.

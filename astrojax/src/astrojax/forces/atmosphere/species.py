@@ -6,6 +6,7 @@ Source: Picone et al. (2002), as in `tables`; Hedin (1987), J. Geophys. Res. 92(
 chemical corrections.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -40,23 +41,24 @@ def densities(earth: Planet, profile: Thermosphere, height, varied, weight, at):
     # At 120 km, and from there by diffusion to the height and to each gas's turbopause.
     species = np.array(t.SPECIES)
     base = jnp.asarray(np.log(density[:7, 0] * rows[species]), dtype) + weight(21) * varied[species]
-    seasonal = weight(5) * turbo[0, 24] * at.legendre[1] * jnp.cos(_YEAR * (at.day - t.tables().upper[0, 13]))
+    seasonal = weight(5) * float(turbo[0, 24]) * at.legendre[1] * wave
     turbopause = jnp.asarray(density[:7, 2], dtype)
     swing = jnp.asarray(np.where(np.arange(7) == _NITROGEN, turbo[1, 24], 0.0), dtype)
     turbopause = turbopause * (jnp.asarray(np.arange(7) != _NITROGEN, dtype) + swing * (1.0 + seasonal))
-    temperature, a, b = stored(factors(earth, profile, jnp.concatenate([turbopause, height[None]])))
+    along = jax.vmap(lambda z: factors(earth, profile, z))
+    temperature, a, b = stored(along(jnp.concatenate([turbopause, height[None]])))
     a_turbo, b_turbo, a, b = a[:7], b[:7], a[7], b[7]
     diffused = base + (1.0 + diffusion) * a + mass * b
     mixed_base = base + diffusion * a_turbo + (mass - MIXED_MASS) * b_turbo
     mixed = mixed_base + a + MIXED_MASS * b
 
     # The two meet at the turbopause; above, the gas is on its own.
-    sharpness = density[2, 3] * turbo[1, 5] / (MIXED_MASS - mass)
+    sharpness = float(density[2, 3] * turbo[1, 5]) / (MIXED_MASS - mass)
     excess = sharpness * (mixed - diffused)
     joined = diffused + jnp.logaddexp(excess, jnp.zeros_like(excess)) / sharpness
     joined = jnp.where(excess < -10.0, diffused, jnp.where(excess > 10.0, mixed, joined))
 
-    flux = 1.0 + weight(1) * turbo[0, 23] * (at.f107a - 150.0)
+    flux = 1.0 + weight(1) * float(turbo[0, 23]) * (at.f107a - 150.0)
     corrected = joined + _to_ground(height, mixed_base, flux, density, turbo, dtype)
     chemistry = _chemistry(height, flux, density, turbo, dtype)
     inside = height <= jnp.asarray(_SEPARATED, dtype)
@@ -77,7 +79,7 @@ def _to_ground(height, mixed_base, flux, density, turbo, dtype):
     share = density[:7, 1] * np.array([1.0, 1.0, 1.0, 1.0, 1.0, abs(turbo[1, 17]), abs(turbo[0, 2])])
     share[_NITROGEN] = 1.0
     size = mixed_base[_NITROGEN] - mixed_base + jnp.asarray(np.log(share), dtype)
-    oxygen = density[1, 1] * turbo[1, 16] * flux
+    oxygen = float(density[1, 1] * turbo[1, 16]) * flux
     size = jnp.where(jnp.arange(7) == _OXYGEN, oxygen, size)
     at = [(1, 0), (1, 2), (0, 7), (1, 6), (1, 8), (1, 10), (0, 0)]
     wide = [(1, 1), (1, 3), (0, 7), (1, 7), (1, 9), (1, 11), (0, 1)]
@@ -103,11 +105,12 @@ def _chemistry(height, flux, density, turbo, dtype):
 
 def _hot_oxygen(earth, profile, height, varied, weight):
     """Logarithm of the density of oxygen at a temperature of its own, falling off below 550 km."""
-    density, turbo = t.tables().density[7], t.tables().turbopause
+    density, turbo = t.tables().density[7].tolist(), t.tables().turbopause
     dtype = varied.dtype
-    hot = jnp.asarray(density[9] * turbo[0, 6], dtype)
+    hot = jnp.asarray(density[9] * float(turbo[0, 6]), dtype)
     base = float(np.log(density[0] * t.tables().upper[t.HOT, 0])) + weight(21) * varied[t.HOT]
-    own = stored(thermosphere(earth, hot, hot, profile.shape, (profile.join, *NODES), profile.nodes, profile.slope))
+    join = float(turbo[1, 15])
+    own = stored(thermosphere(earth, hot, hot, profile.shape, (join, *NODES), profile.nodes, profile.slope))
     _, a, b = factors(earth, own, height)
     scale = GAS * hot / (earth.at(density[4]) * 16.0)
     fall = density[5] / scale * (jnp.exp(-(height - density[4]) / density[5]) - 1.0)
