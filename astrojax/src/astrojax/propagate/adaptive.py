@@ -112,6 +112,8 @@ def integrate(
 def flattened(f: Callable, y0: PyTree, args: tuple) -> tuple[Callable, Float[Array, "n"], Callable]:
     """The derivative and the state as those of one vector, and the way back."""
     y, unravel = ravel_pytree(y0)
+    if not jnp.issubdtype(y.dtype, jnp.floating):
+        raise ValueError(f"y0: expected floating-point numbers, got {y.dtype}")
     return lambda t, y: ravel_pytree(f(t, unravel(y), *args))[0], y, unravel
 
 
@@ -119,8 +121,6 @@ def checked(method: Method, y: Float[Array, "n"], max_steps: int) -> None:
     """Refuse what no integrator here can do."""
     if max_steps < 1:
         raise ValueError(f"max_steps: expected at least 1, got {max_steps}")
-    if not jnp.issubdtype(y.dtype, jnp.floating):
-        raise ValueError(f"y0: expected floating-point numbers, got {y.dtype}")
     if method.name.startswith("Runge-Kutta-Nystrom") and y.size % 2:
         raise ValueError(f"y0: {method.name} expects as many velocities as positions, got {y.size} numbers")
 
@@ -182,12 +182,13 @@ def stepper(
         finite = jnp.isfinite(error) & jnp.all(jnp.isfinite(tried.y)) & jnp.all(jnp.isfinite(tried.last))
         error = jnp.maximum(jnp.where(finite, error, 1e6), 1e-12)
         accept = finite & (error <= 1.0)
-        factor = _SAFETY * error ** (-0.7 * exponent) * p.error ** (0.4 * exponent)
+        factor = _SAFETY * error ** (-0.85 * exponent) * p.error ** (0.2 * exponent)
         shrunk = _SAFETY * error**-exponent
         factor = jnp.where(accept, factor, shrunk)
         factor = jnp.clip(factor, _SHRINK, jnp.where(p.just_rejected | ~accept, 1.0, _GROW))
         size = jax.lax.stop_gradient(jnp.minimum(jnp.abs(h) * factor, longest))
         tiny = ~accept & (size <= _FINEST * eps * jnp.maximum(jnp.abs(p.t), jnp.abs(t1 - t0) * eps))
+        tiny |= (p.t + h == p.t) & ~last
         failed = jnp.where(tiny, jnp.where(finite, STEP_TOO_SMALL, NOT_FINITE), RUNNING)
         status = jnp.where(accept & last, SUCCESS, failed).astype(jnp.int32)
         taken = Progress(

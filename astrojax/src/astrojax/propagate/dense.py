@@ -52,11 +52,13 @@ def trajectory(
     first_step: Scalar | None = None,
     max_step: Scalar | None = None,
     max_steps: int = 512,
+    bounded: bool = False,
 ) -> Trajectory:
     """Every step from t0 to t1 of dy/dt = f(t, y, *args), for `interpolate` and `events`.
 
     Args:
-        max_steps: static: steps accepted at most, each of which is kept; and as many may be rejected.
+        max_steps: static: steps tried at most, each of which has its room.
+        bounded: static: as for `integrate`, for reverse-mode derivatives.
         f, t0, y0, t1, args, method, rtol, atol, first_step, max_step: as for `integrate`.
 
     Raises:
@@ -81,9 +83,13 @@ def trajectory(
 
     def going(carry):
         p, _ = carry
-        return (p.status == RUNNING) & (p.steps < max_steps) & (p.rejected < max_steps)
+        return (p.status == RUNNING) & (p.steps + p.rejected < max_steps)
 
-    end, (ts, ys, slopes, bends) = jax.lax.while_loop(going, turn, (start, room))
+    if bounded:
+        carry, _ = jax.lax.scan(lambda c, _: (select(going(c), turn(c), c), None), (start, room), length=max_steps)
+    else:
+        carry = jax.lax.while_loop(going, turn, (start, room))
+    end, (ts, ys, slopes, bends) = carry
     later = jnp.arange(max_steps + 1, dtype=jnp.int32) > end.steps
     ts = jnp.where(later, end.t, ts)
     ys, slopes = (jnp.where(later[:, None], a[None], b) for a, b in ((end.y, ys), (end.slope, slopes)))
