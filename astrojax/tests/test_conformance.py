@@ -237,12 +237,6 @@ TOPICS = [runpy.run_path(str(path)) for path in sorted(pathlib.Path(__file__).pa
 CASES += [c for topic in TOPICS for c in topic["cases"](case)]
 NOT_PHYSICS |= {name for topic in TOPICS for name in topic.get("HOST", ())}
 
-# Rooms of many models keep their cases, and their functions of the host, beside this file.
-for _path in sorted(pathlib.Path(__file__).parent.glob("cases_*.py")):
-    _found = runpy.run_path(str(_path))
-    CASES += _found["cases"](case)
-    NOT_PHYSICS |= _found.get("HOST", set())
-
 
 def cast(args, dtype):
     return tuple(jnp.asarray(a, dtype) for a in args)

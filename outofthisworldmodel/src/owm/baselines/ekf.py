@@ -2,7 +2,7 @@
 
 The error has the 12 components of `view_error`: position m and velocity m/s in the station frame, a rotation vector rad
 and a rate rad/s in body axes; attitude is corrected multiplicatively. Source: Markley and Crassidis (2014),
-Fundamentals of Spacecraft Attitude Determination and Control, sec. 6.2; Joseph's form of the update, ibid. sec. 12.3.
+Fundamentals of Spacecraft Attitude Determination and Control, sec. 6.2. The filter is `astrojax.estimate`'s.
 """
 
 from dataclasses import dataclass, field
@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
+from astrojax.estimate import Gaussian, ekf_predict, joseph_update
 from owm.baselines.exact import ExactDynamics, ExactParams
 from owm.interface import History
 from owm.motion.kinematics import displaced, view_error
@@ -116,9 +117,9 @@ class ErrorStateEKF:
         def error_after(error: Array) -> Array:
             return view_error(self._propagate(params, displaced(belief.view, error), action), ahead)
 
-        jacobian = jax.jacfwd(error_after)(jnp.zeros(12, ahead.dtype))
+        error = Gaussian(jnp.zeros(12, ahead.dtype), belief.covariance)
         added = jnp.repeat(jnp.asarray(params.process_noise), 3) ** 2
-        return Belief(ahead, _symmetric(jacobian @ belief.covariance @ jacobian.T + jnp.diag(added)))
+        return Belief(ahead, ekf_predict(error, error_after, jnp.diag(added)).covariance)
 
     def innovation(
         self, params: FilterParams, belief: Belief, view: Float[Array, "13"]
@@ -129,12 +130,10 @@ class ErrorStateEKF:
 
     def update(self, params: FilterParams, belief: Belief, view: Float[Array, "13"]) -> Belief:
         """Correct by a measurement of the whole view."""
-        error, covariance = self.innovation(params, belief, view)
-        gain = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(covariance), True), belief.covariance).T
-        keep = jnp.eye(12, dtype=gain.dtype) - gain
         noise = self._measured(params, belief.view)
-        after = keep @ belief.covariance @ keep.T + (gain * noise[None] ** 2) @ gain.T
-        return Belief(displaced(belief.view, gain @ error), _symmetric(after))
+        error = view_error(view.astype(noise.dtype), belief.view)
+        gain, after, _ = joseph_update(belief.covariance, jnp.eye(12, dtype=noise.dtype), jnp.diag(noise**2))
+        return Belief(displaced(belief.view, gain @ error), after)
 
     def encode(self, params: FilterParams, history: History) -> Belief:
         """Filter the valid measurements of a history."""
@@ -181,7 +180,3 @@ class ErrorStateEKF:
         white = jnp.stack([position, noise.velocity, noise.attitude, noise.rate])
         total = (white**2 + jnp.stack(noise.bias[:4]) ** 2) / 3
         return jnp.repeat(jnp.sqrt(total + jnp.asarray(_ROUNDING, total.dtype) ** 2), 3)
-
-
-def _symmetric(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,171 @@
+"""When something happens on the way: sign changes of a function of time and state, found and refined."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, PyTree
+
+from astrojax._types import FloatScalar, Vector6, cross, dot, inverse_norm, safe_sqrt
+from astrojax.constants import R_EARTH, R_SUN
+from astrojax.propagate.adaptive import flattened
+from astrojax.propagate.dense import Trajectory, between
+from astrojax.propagate.dormand_prince import DORMAND_PRINCE
+from astrojax.propagate.methods import Method
+
+_HALVINGS, _POLISH = 30, 3
+
+
+class Events(NamedTuple):
+    """Events on a trajectory, in the order they were flown through.
+
+    Attributes:
+        t: (E,) times; y: states then, stacked. Where `found` is False they are those of the trajectory's end.
+        found: (E,) whether there was a further event.
+        count: all there are, which may be more than E.
+    """
+
+    t: Float[Array, "E"]
+    y: PyTree
+    found: Bool[Array, "E"]
+    count: Int[Array, ""]
+
+
+def events(
+    path: Trajectory,
+    g: Callable[[FloatScalar, PyTree], FloatScalar],
+    f: Callable[..., PyTree],
+    *args: Any,
+    method: Method = DORMAND_PRINCE,
+    direction: int = 0,
+    samples: int = 4,
+    max_events: int = 8,
+) -> Events:
+    """Times and states at which g(t, y) changes its sign.
+
+    Args:
+        path: from `trajectory`.
+        g: event function of time and state.
+        f, args, method: what the trajectory was made with: the last refinements are steps of it, so that an event is
+            as accurate as the trajectory, not as its interpolant.
+        direction: static: 1 for signs that rise along the trajectory, -1 for those that fall, 0 for both.
+        samples: static: how often g is looked at in a step; two events between two looks are missed.
+        max_events: static: how many to return.
+
+    Raises:
+        ValueError: `direction`, `samples` or `max_events` is none of those.
+    """
+    if direction not in (-1, 0, 1):
+        raise ValueError(f"direction: expected -1, 0 or 1, got {direction}")
+    if samples < 1 or max_events < 1:
+        raise ValueError(f"samples, max_events: expected at least 1, got {samples} and {max_events}")
+    dtype = path.t.dtype
+    rows = path.bend.shape[0]
+    flat, _, _ = flattened(f, path.unravel(path.y[0]), args)
+
+    def at(i, share):
+        h = path.t[i + 1] - path.t[i]
+        return g(path.t[i] + share * h, path.unravel(between(path, i, share)))
+
+    index = jnp.arange(rows, dtype=jnp.int32)
+    shares = jnp.arange(samples + 1, dtype=dtype) / samples
+    values = jax.vmap(lambda i: jax.vmap(lambda s: at(i, s))(shares))(index)
+    low, high = values[:, :-1], values[:, 1:]
+    rising, falling = (low < 0) & (high >= 0), (low > 0) & (high <= 0)
+    crossed = {1: rising, -1: falling, 0: rising | falling}[direction] & (index < path.steps)[:, None]
+    found = jnp.nonzero(jnp.ravel(crossed), size=max_events, fill_value=-1)[0].astype(jnp.int32)
+
+    def refine(where):
+        i, k = jnp.maximum(where, 0) // samples, jnp.maximum(where, 0) % samples
+        a, b = shares[k], shares[k + 1]
+        negative = at(i, a) < 0
+
+        def halve(_, ends):
+            a, b = ends
+            middle = 0.5 * (a + b)
+            before = (at(i, middle) < 0) == negative
+            return jnp.where(before, middle, a), jnp.where(before, b, middle)
+
+        a, b = jax.lax.fori_loop(0, _HALVINGS, halve, (a, b))
+        h = path.t[i + 1] - path.t[i]
+
+        def truth(share):
+            """g after a step of the method itself."""
+            y = method.step(flat, path.t[i], path.y[i], path.slope[i], share * h).y
+            return g(path.t[i] + share * h, path.unravel(y)), y
+
+        def newton(share):
+            # Derivative along the trajectory, by the interpolant: an approximate one does for the last few digits.
+            value, _ = truth(share)
+            _, rate = jax.jvp(lambda s: at(i, s), (share,), (jnp.ones_like(share),))
+            move = jnp.where(rate == 0, 0.0, value / jnp.where(rate == 0, 1.0, rate))
+            return jnp.clip(share - move, shares[k], shares[k + 1])
+
+        share = 0.5 * (a + b)
+        for _ in range(_POLISH):
+            share = newton(share)
+        _, y = truth(share)
+        happened = where >= 0
+        t = jnp.where(happened, path.t[i] + share * h, path.t[-1])
+        return t, path.unravel(jnp.where(happened, y, path.y[-1])), happened
+
+    t, y, happened = jax.vmap(refine)(found)
+    return Events(t, y, happened, jnp.sum(crossed, dtype=jnp.int32))
+
+
+def event_node(t: FloatScalar, y: Vector6) -> FloatScalar:
+    """Crossing of the plane z = 0: rising at the ascending node.
+
+    Args:
+        t: not used.
+        y: (6,) position and velocity [m, m/s].
+    """
+    del t
+    return y[2]
+
+
+def event_apsis(t: FloatScalar, y: Vector6) -> FloatScalar:
+    """Radial velocity [m/s]: rising at periapsis, falling at apoapsis.
+
+    Args:
+        t: not used.
+        y: (6,) position and velocity [m, m/s].
+    """
+    del t
+    return dot(y[:3], y[3:]) * inverse_norm(y[:3])
+
+
+def event_altitude(altitude: float | FloatScalar) -> Callable[[FloatScalar, Vector6], FloatScalar]:
+    """Event of passing an altitude above the equator's radius [m], rising or falling with it."""
+
+    def event(t: FloatScalar, y: Vector6) -> FloatScalar:
+        del t
+        return 1.0 / inverse_norm(y[:3]) - (R_EARTH + altitude)
+
+    return event
+
+
+def event_eclipse(
+    sun: Callable[[FloatScalar], Array], *, umbra: bool = False
+) -> Callable[[FloatScalar, Vector6], FloatScalar]:
+    """Event of entering the Earth's shadow, where it falls, and of leaving it, where it rises.
+
+    Args:
+        sun: gives the position (3,) of the Sun [m] at a time, in the axes of the state.
+        umbra: static: the Sun wholly hidden; else at all.
+
+    Source: the angles of Montenbruck and Gill, Satellite Orbits, sec. 3.4.2; the Earth is a sphere.
+    """
+    side = -1.0 if umbra else 1.0
+
+    def event(t: FloatScalar, y: Vector6) -> FloatScalar:
+        r_sun = sun(t)
+        inv_d = inverse_norm(r_sun)
+        r, to_sun = y[:3] * inv_d, (r_sun - y[:3]) * inv_d
+        axis = cross(r, to_sun)
+        separation = jnp.arctan2(safe_sqrt(dot(axis, axis)), -dot(r, to_sun))
+        earth = jnp.arcsin(jnp.minimum(R_EARTH * inv_d * inverse_norm(r), 1.0 - jnp.finfo(r.dtype).eps))
+        return separation - earth - side * jnp.arcsin(R_SUN * inv_d * inverse_norm(to_sun))
+
+    return event
