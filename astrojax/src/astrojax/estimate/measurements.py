@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from astrojax._types import FloatScalar, Matrix3, Vector3, Vector6, dot, inverse_norm
+from astrojax._types import FloatScalar, Matrix3, Scalar, Vector3, Vector6, dot, inverse_norm
 from astrojax.constants import OMEGA_EARTH
 
 
@@ -69,7 +69,7 @@ def wrapped(angles: tuple[bool, ...]) -> Callable[[Float[Array, "m"], Float[Arra
 
 
 def station_state(
-    latitude: FloatScalar, longitude: FloatScalar, radius: FloatScalar, sidereal_angle: FloatScalar
+    latitude: FloatScalar, longitude: FloatScalar, radius: Scalar, sidereal_angle: Scalar
 ) -> tuple[Vector6, Matrix3]:
     """Inertial state of a place on a spherical, steadily turning Earth, and the rotation to its east, north and up.
 

@@ -30,12 +30,13 @@ class Spread(NamedTuple):
     kappa: Scalar = 0.0
 
 
-STANDARD = Spread()
+GAUSSIAN = Spread()
+"""Points at the root of n standard deviations, the mean of weight two in a covariance: no weight is negative."""
 
 
 def sigma_points(
-    belief: Gaussian, spread: Spread = STANDARD
-) -> tuple[Float[Array, "2n+1 n"], tuple[FloatScalar, FloatScalar]]:
+    belief: Gaussian, spread: Spread = GAUSSIAN
+) -> tuple[Float[Array, "points n"], tuple[FloatScalar, FloatScalar]]:
     """Points of a belief, and the weights of the first in a covariance and of each other in anything.
 
     Args:
@@ -65,7 +66,7 @@ def ukf_predict(
     belief: Gaussian,
     propagate: Callable[[Float[Array, "n"]], Float[Array, "n"]],
     process_noise: Float[Array, "n n"],
-    spread: Spread = STANDARD,
+    spread: Spread = GAUSSIAN,
 ) -> Gaussian:
     """The belief after a step; arguments as for `ekf_predict`, and the `spread` of the points."""
     points, weights = sigma_points(belief, spread)
@@ -80,7 +81,7 @@ def ukf_update(
     measure: Callable[[Float[Array, "n"]], Float[Array, "m"]],
     noise: Float[Array, "m m"],
     residual: Residual = difference,
-    spread: Spread = STANDARD,
+    spread: Spread = GAUSSIAN,
 ) -> tuple[Gaussian, Innovation]:
     """The belief after a measurement; arguments as for `ekf_update`, and the `spread` of the points."""
     points, weights = sigma_points(belief, spread)

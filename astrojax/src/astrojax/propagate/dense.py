@@ -13,7 +13,7 @@ from jax.tree_util import Partial
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from astrojax._types import FloatScalar, Scalar
-from astrojax.propagate.adaptive import RUNNING, TOO_MANY_STEPS, checked, flattened, stepper
+from astrojax.propagate.adaptive import RUNNING, TOO_MANY_STEPS, checked, flattened, select, stepper
 from astrojax.propagate.dormand_prince import DORMAND_PRINCE
 from astrojax.propagate.methods import Method
 

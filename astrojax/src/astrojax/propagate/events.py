@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from astrojax._types import FloatScalar, Vector6, cross, dot, inverse_norm, safe_sqrt
+from astrojax._types import FloatScalar, Scalar, Vector6, cross, dot, inverse_norm, safe_sqrt
 from astrojax.constants import R_EARTH, R_SUN
 from astrojax.propagate.adaptive import flattened
 from astrojax.propagate.dense import Trajectory, between
@@ -34,7 +34,7 @@ class Events(NamedTuple):
 
 def events(
     path: Trajectory,
-    g: Callable[[FloatScalar, PyTree], FloatScalar],
+    g: Callable[[Scalar, PyTree], FloatScalar],
     f: Callable[..., PyTree],
     *args: Any,
     method: Method = DORMAND_PRINCE,
@@ -114,7 +114,7 @@ def events(
     return Events(t, y, happened, jnp.sum(crossed, dtype=jnp.int32))
 
 
-def event_node(t: FloatScalar, y: Vector6) -> FloatScalar:
+def event_node(t: Scalar, y: Vector6) -> FloatScalar:
     """Crossing of the plane z = 0: rising at the ascending node.
 
     Args:
@@ -125,7 +125,7 @@ def event_node(t: FloatScalar, y: Vector6) -> FloatScalar:
     return y[2]
 
 
-def event_apsis(t: FloatScalar, y: Vector6) -> FloatScalar:
+def event_apsis(t: Scalar, y: Vector6) -> FloatScalar:
     """Radial velocity [m/s]: rising at periapsis, falling at apoapsis.
 
     Args:
@@ -136,19 +136,17 @@ def event_apsis(t: FloatScalar, y: Vector6) -> FloatScalar:
     return dot(y[:3], y[3:]) * inverse_norm(y[:3])
 
 
-def event_altitude(altitude: float | FloatScalar) -> Callable[[FloatScalar, Vector6], FloatScalar]:
+def event_altitude(altitude: Scalar) -> Callable[[Scalar, Vector6], FloatScalar]:
     """Event of passing an altitude above the equator's radius [m], rising or falling with it."""
 
-    def event(t: FloatScalar, y: Vector6) -> FloatScalar:
+    def event(t: Scalar, y: Vector6) -> FloatScalar:
         del t
         return 1.0 / inverse_norm(y[:3]) - (R_EARTH + altitude)
 
     return event
 
 
-def event_eclipse(
-    sun: Callable[[FloatScalar], Array], *, umbra: bool = False
-) -> Callable[[FloatScalar, Vector6], FloatScalar]:
+def event_eclipse(sun: Callable[[Scalar], Array], *, umbra: bool = False) -> Callable[[Scalar, Vector6], FloatScalar]:
     """Event of entering the Earth's shadow, where it falls, and of leaving it, where it rises.
 
     Args:
@@ -159,7 +157,7 @@ def event_eclipse(
     """
     side = -1.0 if umbra else 1.0
 
-    def event(t: FloatScalar, y: Vector6) -> FloatScalar:
+    def event(t: Scalar, y: Vector6) -> FloatScalar:
         r_sun = sun(t)
         inv_d = inverse_norm(r_sun)
         r, to_sun = y[:3] * inv_d, (r_sun - y[:3]) * inv_d

@@ -41,6 +41,7 @@ def densities(earth: Planet, profile: Thermosphere, height, varied, weight, at):
     # At 120 km, and from there by diffusion to the height and to each gas's turbopause.
     species = np.array(t.SPECIES)
     base = jnp.asarray(np.log(density[:7, 0] * rows[species]), dtype) + weight(21) * varied[species]
+    wave = jnp.cos(_YEAR * (at.day - float(t.tables().upper[t.EXOSPHERE, 13])))
     seasonal = weight(5) * float(turbo[0, 24]) * at.legendre[1] * wave
     turbopause = jnp.asarray(density[:7, 2], dtype)
     swing = jnp.asarray(np.where(np.arange(7) == _NITROGEN, turbo[1, 24], 0.0), dtype)
