@@ -3,7 +3,8 @@
     python astrojax/examples/orbit_determination.py
 
 A truth is flown with the Dormand-Prince integrator, measured with noise, and followed by an extended and an unscented
-Kalman filter that start a kilometre and a metre a second off on each axis. Both use the same two functions: one that propagates, one that measures.
+Kalman filter that start a kilometre and a metre a second off on each axis. Both use the same two functions: one that
+propagates, one that measures.
 """
 
 import functools
