@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from astrojax._types import FloatScalar
 
@@ -26,11 +26,11 @@ class Planet(NamedTuple):
     gravity: FloatScalar
     radius: FloatScalar
 
-    def at(self, height):
+    def at(self, height: ArrayLike) -> Array:
         """Gravity at a height [km]."""
         return self.gravity / (1.0 + height / self.radius) ** 2
 
-    def rise(self, height, start):
+    def rise(self, height: ArrayLike, start: ArrayLike) -> Array:
         """Geopotential height above `start` [km], in units of its own gravity."""
         return (height - start) * (self.radius + start) / (self.radius + height)
 

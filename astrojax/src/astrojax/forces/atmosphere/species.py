@@ -6,9 +6,13 @@ Source: Picone et al. (2002), as in `tables`; Hedin (1987), J. Geophys. Res. 92(
 chemical corrections.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, ArrayLike
 
 from astrojax.compilation import stored
 from astrojax.forces.atmosphere import tables as t
@@ -22,7 +26,9 @@ _NITROGEN, _OXYGEN, _OXYGEN2 = 2, 1, 3
 _YEAR, _LIMIT = 1.72142e-2, 40.0
 
 
-def densities(earth: Planet, profile: Thermosphere, height, varied, weight, at):
+def densities(
+    earth: Planet, profile: Thermosphere, height: ArrayLike, varied: Array, weight: Callable, at: Any
+) -> tuple:
     """Logarithms of the densities [1/cm^3] at a height of 72.5 km or more.
 
     Args:

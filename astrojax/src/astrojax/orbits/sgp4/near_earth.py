@@ -5,7 +5,7 @@ Source: Vallado et al., Revisiting Spacetrack Report #3, AIAA 2006-6753, appendi
 Spacetrack Report No. 3, sec. 6.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -56,7 +56,7 @@ class Drag(NamedTuple):
     sin_m0: Number
 
 
-def mean_at_epoch(elements, g: Gravity) -> Mean:
+def mean_at_epoch(elements: Any, g: Gravity) -> Mean:
     """Mean elements with Kozai's correction taken out of the mean motion, and the secular rates of J2 and J4."""
     n0, e, inc = 60.0 * elements.mean_motion, elements.e, elements.inc
     sin_i, cos_i = jnp.sin(inc), jnp.cos(inc)

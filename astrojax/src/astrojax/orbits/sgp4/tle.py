@@ -5,6 +5,7 @@ Space-Track does.
 """
 
 import datetime
+from typing import NoReturn
 
 from astrojax.orbits.sgp4.element_set import ElementSet, alpha5_to_number, elements_in_degrees
 
@@ -78,7 +79,7 @@ class _Line:
                 f"line {number}, column 69 (checksum): expected {_checksum(self.text)}, got {self.text[68]!r}"
             )
 
-    def fail(self, first: int, last: int, field: str, expected: str):
+    def fail(self, first: int, last: int, field: str, expected: str) -> NoReturn:
         got = self.text[first - 1 : last]
         raise ValueError(f"line {self.number}, columns {first}-{last} ({field}): expected {expected}, got {got!r}")
 
