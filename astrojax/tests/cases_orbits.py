@@ -71,7 +71,7 @@ MODELS = [
     ("orbits", "SGP4 and SDP4", "AIAA 2006-6753", REPORT, "0.12 mm, 0.24 um/s", "the whole file"),
     ("orbits", "Kepler's equation", "Danby; Battin", "its residual; brahe", "4e-15", "e to 0.9999, from 1.0001"),
     ("orbits", "universal variables", "Battin; Conway", "SciPy DOP853; round trips", "1e-9 relative", "e from 0 to 10"),
-    ("orbits", "mean elements", "Brouwer; Lyddane", "SciPy DOP853 under J2", "11 m, 1e-6 rad", "e to 0.3"),
+    ("orbits", "mean elements", "Brouwer; Lyddane", "SciPy DOP853 under J2", "11 m, 1e-6 rad", "e to 0.15"),
     ("orbits", "Yamanaka-Ankersen", "their paper", "derivative of two-body motion", "1e-10 relative", "e to 0.8"),
     ("orbits", "relative elements", "D'Amico; Koenig et al.", DRIFT, "1e-9 relative", "e to 0.7"),
     ("attitude", "Euler, MRP, axis-angle", "Schaub & Junkins", "SciPy", "1e-13 rad", "all"),
