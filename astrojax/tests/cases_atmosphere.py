@@ -3,7 +3,6 @@
 import numpy as np
 
 from astrojax.forces import atmosphere
-from astrojax.forces.atmosphere.coordinates import geodetic
 
 HOST = {"load_space_weather", "parse_space_weather", "constant_space_weather"}
 MODELS = [
@@ -74,5 +73,4 @@ def cases(case):
         ),
         case("nrlmsise00", _air, (A(2e5), A(0.5), A(150.0), STORM), (A(5e4), A(-0.5), A(150.0), STORM), rtol32=1e-5),
         case("space_weather", _weather, (A(43000.0),), (A(-1e5),)),
-        case("geodetic", geodetic, (6778e3 * UP,), (7e6 * A([0.1, 0.0, -1.0]),)),
     ]

@@ -7,9 +7,23 @@ from astrojax import estimate
 
 HOST = {"wrapped"}  # gives a function
 MODELS = [
-    ("estimate", "extended Kalman filter, Joseph form, iterated", "Bar-Shalom et al. sec. 10.3", "", "", ""),
-    ("estimate", "unscented Kalman filter", "Julier & Uhlmann 2004", "", "", ""),
-    ("estimate", "range, range rate, azimuth and elevation, position", "-", "central differences", "", ""),
+    (
+        "estimate",
+        "extended Kalman filter, Joseph form, iterated",
+        "Bar-Shalom et al. sec. 10.3",
+        "batch conditional mean; NEES and NIS of 400 runs",
+        "1e-12; inside chi-square's 0.9998",
+        "",
+    ),
+    (
+        "estimate",
+        "unscented Kalman filter",
+        "Julier & Uhlmann 2004",
+        "batch conditional mean; NEES and NIS of 400 runs",
+        "1e-12; inside chi-square's 0.9998",
+        "",
+    ),
+    ("estimate", "range rate, azimuth and elevation", "-", "derivative of range; closed form", "1e-9", ""),
 ]
 A = np.array
 MEAN = A([1.0, -0.5, 0.3])

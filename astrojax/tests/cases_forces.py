@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from astrojax import forces
+from astrojax import ephemeris, forces
 
 A = np.array
 STATE = A([-3.9e6, 4.4e6, 3.4e6, -5.1e3, -5.3e3, 1.7e3])
@@ -93,7 +93,7 @@ SUN_WARD = SUN / np.linalg.norm(SUN)
 
 
 def _shadow(r, sun):
-    return forces.illumination_cylindrical(r, sun)
+    return ephemeris.illumination_cylindrical(r, sun)
 
 
 def cases(case):

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from astrojax import forces
 from astrojax.forces import atmosphere
-from astrojax.forces.atmosphere.coordinates import geodetic, year_and_day
+from astrojax.forces.atmosphere.calendar import year_and_day
 
 DATA = pathlib.Path(__file__).parent / "data"
 INPUTS = ("height", "latitude", "longitude", "day", "seconds", "f107", "f107a", "ap", "switches")
@@ -147,6 +148,28 @@ def test_density_of_a_position_and_an_epoch(quick, x64, rng):
     np.testing.assert_allclose(found, air.density_effective, rtol=1e-9)
 
 
+@pytest.mark.parametrize("of_date", [False, True])
+def test_drag_in_an_atmosphere_turns_to_earth_fixed_axes(of_date, x64):
+    state = jnp.asarray([-4.1e6, 3.9e6, 3.7e6, -5.1e3, -5.0e3, -0.4e3])
+    craft = forces.Spacecraft(400.0, 4.0, 2.2)
+    weather = atmosphere.constant_space_weather(jnp.asarray(150.0), jnp.asarray(140.0), jnp.asarray(15.0))
+    model = forces.ForceModel((forces.Drag(atmosphere.NRLMSISE00(), of_date=of_date),))
+    world = model.environment(60369, jnp.asarray(3600.0), weather=weather)
+    density = atmosphere.density_nrlmsise00(world.rotation @ state[:3], 60369, jnp.asarray(3600.0), weather)
+    expected = forces.accel_drag(state[:3], state[3:], density, *craft[:3])
+    # The default rotation turns about the inertial z axis: of date or not is the same there.
+    np.testing.assert_allclose(model.accel(0.0, state[:3], state[3:], craft, world), expected, rtol=1e-10)
+    with pytest.raises(ValueError, match="'weather' is needed and not computed here"):
+        model.environment(60369, 0.0)
+
+
+def test_other_atmospheres_of_drag(x64):
+    r, world = jnp.asarray([0.0, 5.5e6, 4.0e6]), forces.Environment()
+    thin = atmosphere.ExponentialAtmosphere(3e-12, 4e5, 6e4)
+    assert thin.density(r, world) == atmosphere.density_exponential(r, 3e-12, 4e5, 6e4)
+    assert atmosphere.LayeredAtmosphere().density(r, world) == atmosphere.density_layered(r)
+
+
 def test_density_against_brahe(quick, x64):
     """brahe takes the flux of the day for its mean too, so they are one number here; its activity is the daily one."""
     constant = brahe.StaticSpaceWeatherProvider.from_values(3.0, 15.0, 150.0, 150.0, 100)
@@ -161,22 +184,12 @@ def test_density_against_brahe(quick, x64):
     epochs = [brahe.Epoch.from_mjd(float(d), brahe.TimeSystem.UTC) + float(s) for d, s in zip(days, seconds)]
     expected = [brahe.density_nrlmsise00(epoch, x) for epoch, x in zip(epochs, r)]
     found = density(jnp.asarray(r), jnp.asarray(days), jnp.asarray(seconds))
-    np.testing.assert_allclose(
-        found, expected, rtol=1e-5
-    )  # ten of the twelve to 1e-9, one 3.5e-6 off: not yet understood
-
-
-def test_geodetic_coordinates(x64, rng):
-    longitude, latitude = rng.uniform(-180, 180, 500), np.concatenate([rng.uniform(-90, 90, 497), [90, -90, 0]])
-    height = rng.uniform(0, 1e6, 500)
-    r = np.array(
-        [brahe.position_geodetic_to_ecef(x, brahe.AngleFormat.DEGREES) for x in zip(longitude, latitude, height)]
-    )
-    found = jax.vmap(geodetic)(jnp.asarray(r))
-    np.testing.assert_allclose(found[0], np.radians(latitude), rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found[2], height, rtol=0, atol=1e-6)
-    inner = np.abs(latitude) < 89.999
-    np.testing.assert_allclose(found[1][inner], np.radians(longitude)[inner], rtol=0, atol=1e-12)
+    # brahe keeps the epoch as one Julian date, to 2e-5 s: the density moves by that. The one point below 300 km is 3.5e-6
+    # off brahe, though not off the reference of double precision: why is not known.
+    high = np.linalg.norm(r, axis=1) > 6371e3 + 3e5
+    assert np.sum(~high) == 1
+    np.testing.assert_allclose(found[high], np.asarray(expected)[high], rtol=2e-9)
+    np.testing.assert_allclose(found, expected, rtol=5e-6)
 
 
 def test_year_and_day_of_the_year():

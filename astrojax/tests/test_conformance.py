@@ -188,6 +188,7 @@ CASES = [
         rtol32=1e-4,
         gradient_rtol32=1e-2,
     ),
+    case("eclipse_angles", ephemeris.eclipse_angles, (_behind_the_earth(1.2223), SUN), (LEO, SUN), rtol32=1e-5),
     case("accel_drag", forces.accel_drag, (LEO, LEO_V, A(3e-12), A(1.2e4), A(50.0), A(2.2))),
     case("rk4_step", _rk4, (STATE, A(10.0), GM)),
     case("rk4_increment", _rk4_increment, (STATE, A(10.0), GM)),
@@ -349,6 +350,7 @@ def test_readme_under_strict_flags(jax_flags, capsys):
 def test_every_public_function_has_a_case():
     covered = {case.name.split("/")[0] for case in CASES} | NOT_PHYSICS
     modules = [getattr(astrojax, name) for name in astrojax.__all__]
+    modules += [astrojax.forces.atmosphere, astrojax.orbits.sgp4]
     names = {
         name
         for module in modules

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from astrojax import constants, forces, orbits, propagate
+from astrojax import constants, ephemeris, forces, orbits, propagate
 from astrojax.forces import Drag, ForceModel, HarrisPriester, PointMass, Spacecraft, ThirdBody, Zonal
 
 ISS = np.array([6795e3, 0.0005, np.radians(51.64), 0.7, 0.3, 1.9])
@@ -165,7 +165,7 @@ def test_the_same_force_as_a_pytree_is_swept(state):
         (lambda: ForceModel(PointMass()), "forces: expected a tuple of forces, got PointMass"),
         (lambda: ForceModel((PointMass,)), "forces: expected a tuple of at least one force"),
         (lambda: ForceModel(()), "forces: expected a tuple of at least one force"),
-        (lambda: ForceModel((ThirdBody("mars"),)).environment(61253, 0.0), "'mars' is needed and not computed"),
+        (lambda: ForceModel((ThirdBody("ceres", 6e10),)).environment(61253, 0.0), "'ceres' is needed and not computed"),
         (lambda: ForceModel(FORCES).environment(61253, 0.0, son=jnp.ones(3)), "given: expected fields of Environment"),
         (
             lambda: ThirdBody("sun").accel(0.0, jnp.ones(3), jnp.ones(3), CRAFT, forces.Environment()),
@@ -186,6 +186,13 @@ def test_the_same_force_as_a_pytree_is_swept(state):
 def test_mistakes_are_named(wrong, message):
     with pytest.raises(ValueError, match=message):
         wrong()
+
+
+def test_planets_stand_where_the_ephemeris_has_them(state):
+    world = ForceModel((PointMass(), ThirdBody("venus"), ThirdBody("mars"))).environment(61253, 0.0)
+    assert set(world.planets) == {"venus", "mars"}
+    expected = ephemeris.planet_position_geocentric("mars", 61253, 0.0)
+    np.testing.assert_allclose(world.planets["mars"], expected, rtol=1e-12)
 
 
 def test_planets_are_given(state):

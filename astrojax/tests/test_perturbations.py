@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from astrojax import constants, forces
+from astrojax import constants, ephemeris, forces
 from astrojax.forces import Plates, Relativity, SolarRadiation, SolidTides, Spacecraft
 
 SUN = np.array([-9.4e10, 1.09e11, 4.7e10])
@@ -35,7 +35,7 @@ def test_cannonball_against_brahe(rng, x64):
 def test_cylindrical_shadow_against_brahe(rng, quick, x64):
     points = rng.normal(size=(500, 3))
     points = points / np.linalg.norm(points, axis=1, keepdims=True) * rng.uniform(6.6e6, 1.2e7, (500, 1))
-    lit = quick(jax.vmap(lambda r: forces.illumination_cylindrical(r, jnp.asarray(SUN))))(jnp.asarray(points))
+    lit = quick(jax.vmap(lambda r: ephemeris.illumination_cylindrical(r, jnp.asarray(SUN))))(jnp.asarray(points))
     expected = np.array([brahe.eclipse_cylindrical(r, SUN) for r in points])
     np.testing.assert_array_equal(lit, expected)
     assert 0 < expected.mean() < 1

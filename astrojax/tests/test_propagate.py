@@ -125,10 +125,10 @@ def test_events_of_an_orbit(quick, x64):
         path = propagate.trajectory(two_body, 0.0, kepler(0.0), t1, rtol=1e-12, atol=1e-7, max_steps=2000)
         find = functools.partial(propagate.events, path, f=two_body)
         return (
-            find(propagate.event_node, direction=1),
-            find(propagate.event_node),
-            find(propagate.event_apsis, direction=1),
-            find(propagate.event_altitude(1.5e6), max_events=3),
+            find(orbits.event_node, direction=1),
+            find(orbits.event_node),
+            find(orbits.event_apsis, direction=1),
+            find(orbits.event_altitude(1.5e6), max_events=3),
         )
 
     up, nodes, perigees, heights = quick(fly)(2.2 * PERIOD)
@@ -159,7 +159,7 @@ def test_eclipse_of_a_circular_orbit(quick, x64):
 
     def fly(t1):
         path = propagate.trajectory(two_body, 0.0, start, t1, rtol=1e-11, atol=1e-6, max_steps=1000)
-        shadow = functools.partial(propagate.event_eclipse, lambda t: sun)
+        shadow = functools.partial(orbits.event_eclipse, lambda t: sun)
         return tuple(propagate.events(path, shadow(umbra=u), two_body, max_events=3) for u in (False, True))
 
     penumbra, umbra = quick(fly)(2 * np.pi / rate)
@@ -275,6 +275,6 @@ def test_mistakes_are_named(arguments, message):
 def test_mistakes_about_events_are_named(x64):
     path = propagate.trajectory(two_body, 0.0, kepler(0.0), 100.0, max_steps=4)
     with pytest.raises(ValueError, match="direction: expected -1, 0 or 1, got 2"):
-        propagate.events(path, propagate.event_node, two_body, direction=2)
+        propagate.events(path, orbits.event_node, two_body, direction=2)
     with pytest.raises(ValueError, match="samples, max_events: expected at least 1, got 0 and 8"):
-        propagate.events(path, propagate.event_node, two_body, samples=0)
+        propagate.events(path, orbits.event_node, two_body, samples=0)

@@ -1,6 +1,6 @@
 """Where the Sun, the Moon and the planets are, and what the Earth hides of the Sun."""
 
-from astrojax.ephemeris.eclipse import illumination_conical
+from astrojax.ephemeris.eclipse import eclipse_angles, illumination_conical, illumination_cylindrical
 from astrojax.ephemeris.planets import (
     PLANETS,
     TABLES,
@@ -17,7 +17,9 @@ __all__ = [
     "TABLES",
     "Kernel",
     "Segment",
+    "eclipse_angles",
     "illumination_conical",
+    "illumination_cylindrical",
     "moon_position",
     "planet_position",
     "planet_position_geocentric",

@@ -5,7 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from astrojax._types import FloatScalar, Vector3, cross, dot, inverse_norm, safe_sqrt
+from astrojax._types import FloatScalar, Scalar, Vector3, cross, dot, inverse_norm, safe_sqrt
 from astrojax.constants import R_EARTH, R_SUN
 
 
@@ -22,6 +22,17 @@ def illumination_conical(r: Vector3, r_sun: Vector3) -> FloatScalar:
 
     Source: Montenbruck and Gill, Satellite Orbits, sec. 3.4.2.
     """
+    return 1.0 - _covered(*eclipse_angles(r, r_sun))
+
+
+def eclipse_angles(r: Vector3, r_sun: Vector3) -> tuple[FloatScalar, FloatScalar, FloatScalar]:
+    """Angular radii of the Sun and of the Earth, and how far apart their centres stand [rad], as a vehicle sees them.
+
+    Args:
+        r, r_sun: as of `illumination_conical`.
+
+    Source: Montenbruck and Gill, Satellite Orbits, eq. 3.85 to 3.87.
+    """
     # In units of the Sun's distance: squares of 1.5e11 m leave the range of float32 when differentiated.
     inv_d = inverse_norm(r_sun)
     position, sun = r * inv_d, r_sun * inv_d
@@ -31,7 +42,26 @@ def illumination_conical(r: Vector3, r_sun: Vector3) -> FloatScalar:
     radius_earth = jnp.arcsin(jnp.minimum(R_EARTH * inv_d * inv_r, 1.0 - jnp.finfo(r.dtype).eps))
     axis = cross(position, to_sun)
     separation = jnp.arctan2(safe_sqrt(dot(axis, axis)), -dot(position, to_sun))
-    return 1.0 - _covered(radius_sun, radius_earth, separation)
+    return radius_sun, radius_earth, separation
+
+
+def illumination_cylindrical(r: Vector3, r_sun: Vector3, radius: Scalar = R_EARTH) -> FloatScalar:
+    """1 in sunlight, 0 in a shadow as wide as the Earth, without penumbra or end.
+
+    Args:
+        r: (3,) position of the vehicle from Earth's centre [m].
+        r_sun: (3,) position of the Sun from Earth's centre [m], same axes.
+        radius: of the shadow [m].
+
+    Validity: in low orbit the terminator is within 10 s of the truth. Its derivative is zero everywhere, and
+    tells nothing of the edge's own motion; `illumination_conical` is smooth.
+
+    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.4.2.
+    """
+    along = dot(r, r_sun * inverse_norm(r_sun))
+    across = dot(r, r) - along * along
+    dark = (along < 0) & (across < radius * radius)
+    return jnp.where(dark, jnp.zeros_like(along), jnp.ones_like(along))
 
 
 @jax.custom_jvp

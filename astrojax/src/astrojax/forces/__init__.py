@@ -1,5 +1,6 @@
 """What accelerates a spacecraft, each force an object, and the sum of them."""
 
+from astrojax.forces import atmosphere
 from astrojax.forces.base import Force, field_difference, force, relative_acceleration, static
 from astrojax.forces.drag import Atmosphere, Drag, HarrisPriester, accel_drag
 from astrojax.forces.environment import Environment, earth_rotation, environment_at
@@ -20,7 +21,6 @@ from astrojax.forces.radiation import (
     SolarRadiation,
     accel_radiation,
     accel_radiation_plates,
-    illumination_cylindrical,
 )
 from astrojax.forces.relativity import Relativity, accel_lense_thirring, accel_schwarzschild
 from astrojax.forces.spacecraft import Plates, Spacecraft
@@ -64,13 +64,13 @@ __all__ = [
     "accel_third_body",
     "accel_two_body",
     "accel_zonal",
+    "atmosphere",
     "density_harris_priester",
     "earth_rotation",
     "environment_at",
     "field_difference",
     "force",
     "gravity_field",
-    "illumination_cylindrical",
     "load_gfc",
     "polyhedron",
     "potential_polyhedron",

@@ -30,11 +30,17 @@ def static(**options: Any) -> Any:
 class Force(Protocol):
     """What accelerates a spacecraft.
 
-    Besides, where an exact difference of two accelerations exists, a force may have
+    Besides, a force may have one of two methods from which `relative_acceleration` follows better than by subtraction.
+    Where an exact difference of two accelerations exists,
 
         relative(t, r, v, rho, rho_dot, chief, spacecraft, environment) -> (3,)
 
-    which is the acceleration of `spacecraft` at r + rho less that of `chief` at r (velocities v + rho_dot and v).
+    is the acceleration of `spacecraft` at r + rho less that of `chief` at r (velocities v + rho_dot and v). Where the
+    acceleration depends on the position alone,
+
+        acceleration_field(environment) -> function from r (3,) to (3,)
+
+    gives it, for `field_difference`.
     """
 
     needs: frozenset[str]
@@ -55,7 +61,7 @@ def relative_acceleration(
     spacecraft: Spacecraft,
     environment: Environment,
 ) -> Vector3:
-    """Acceleration [m/s^2] of a vehicle less that of a chief nearby: the force's own, or the plain difference.
+    """Acceleration [m/s^2] of a vehicle less that of a chief nearby: as good as the force can tell it.
 
     Args:
         force: either kind.
@@ -67,6 +73,8 @@ def relative_acceleration(
     """
     if hasattr(force, "relative"):
         return force.relative(t, r, v, rho, rho_dot, chief, spacecraft, environment)
+    if hasattr(force, "acceleration_field"):
+        return field_difference(force.acceleration_field(environment), r, rho)
     own = force.accel(t, r + rho, v + rho_dot, spacecraft, environment)
     return own - force.accel(t, r, v, chief, environment)
 

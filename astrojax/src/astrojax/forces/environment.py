@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from astrojax._types import FloatScalar, Matrix3, Scalar, Vector3
-from astrojax.ephemeris import moon_position, sun_position
-from astrojax.time import gmst, julian_centuries_tt
+from astrojax._types import Matrix3, Scalar, Vector3
+from astrojax.ephemeris import PLANETS, moon_position, planet_position_geocentric, sun_position
+from astrojax.time import earth_rotation_angle
 
 
 class Environment(NamedTuple):
@@ -50,19 +50,12 @@ def earth_rotation(day: Scalar, seconds: Scalar) -> Matrix3:
     The angle counts from the celestial intermediate origin, which stays by the inertial x axis: sidereal time, counted
     from the equinox of date, would turn the Earth 0.33 deg too far in 2026.
 
-    Source: IERS Conventions (2010), TN 36, eq. 5.5 and 5.32, without Q and W.
+    Source: IERS Conventions (2010), TN 36, eq. 5.5, without Q and W.
     """
-    t = julian_centuries_tt(day, seconds)
-    angle = gmst(day, seconds) - _gmst_less_rotation(t)
+    angle = earth_rotation_angle(day, seconds)
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     zero, one = jnp.zeros_like(cos), jnp.ones_like(cos)
     return jnp.stack([jnp.stack([cos, sin, zero]), jnp.stack([-sin, cos, zero]), jnp.stack([zero, zero, one])])
-
-
-def _gmst_less_rotation(t: FloatScalar) -> FloatScalar:
-    """Greenwich mean sidereal time less the Earth rotation angle [rad]."""
-    arcseconds = 0.014506 + t * (4612.156534 + t * (1.3915817 + t * (-4.4e-7 - t * 2.9956e-5)))
-    return arcseconds * (jnp.pi / 648000.0)
 
 
 _COMPUTED = {
@@ -71,7 +64,7 @@ _COMPUTED = {
     "rotation": earth_rotation,
     "epoch": lambda day, seconds: (day, seconds),
 }
-"""How each quantity follows from a UTC epoch; a planet's position would be one line more."""
+"""How each quantity follows from a UTC epoch."""
 
 
 def environment_at(needs: Iterable[str], day: Scalar, seconds: Scalar, **given: Any) -> Environment:
@@ -84,19 +77,22 @@ def environment_at(needs: Iterable[str], day: Scalar, seconds: Scalar, **given: 
         given: fields of `Environment` that replace what would be computed: a better rotation, an ephemeris of one's
             own, space weather.
 
-    Validity: analytic Sun and Moon, and `earth_rotation`, unless given. In the 0.05 s of a short step the Moon moves
-    50 m, 1e-7 of its distance: once a step is plenty.
+    Validity: analytic Sun and Moon, planets by their approximate elements, and `earth_rotation`, unless given. In the
+    0.05 s of a short step the Moon moves 50 m, 1e-7 of its distance: once a step is plenty.
     Raises: ValueError, a need that is neither given nor computed here, or a given name that is no field.
     """
     unknown = sorted(set(given) - set(Environment._fields))
     if unknown:
         raise ValueError(f"given: expected fields of Environment {Environment._fields}, got {unknown}")
-    planets = given.get("planets") or {}
+    planets = dict(given.get("planets") or {})
     values = dict(given)
     for name in sorted(set(needs) - set(given) - set(planets)):
+        if name in PLANETS:
+            values["planets"] = planets = planets | {name: planet_position_geocentric(name, day, seconds)}
+            continue
         if name not in _COMPUTED:
             raise ValueError(
-                f"environment: {name!r} is needed and not computed here ({sorted(_COMPUTED)} are): give it "
+                f"environment: {name!r} is needed and not computed here ({sorted(_COMPUTED)} and planets are): give it "
                 + ("as `weather`" if name == "weather" else f"as planets={{{name!r}: position}}")
             )
         values[name] = _COMPUTED[name](day, seconds)

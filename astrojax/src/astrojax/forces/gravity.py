@@ -1,13 +1,13 @@
 """Gravity of a point mass and of the zonal harmonics."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax._types import Scalar, Vector3, inverse_norm
 from astrojax.constants import GM_EARTH, R_EARTH, ZONALS
-from astrojax.forces.base import Traced, field_difference, force, static, turned, turned_back
+from astrojax.forces.base import Traced, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
 from astrojax.forces.spacecraft import Spacecraft
 from astrojax.forces.third_body import accel_third_body
@@ -129,7 +129,9 @@ class Zonal:
     def needs(self) -> frozenset[str]:
         return frozenset({"rotation"} if self.of_date else ())
 
-    def _field(self, environment: Environment):
+    def acceleration_field(self, environment: Environment) -> Callable[[Vector3], Vector3]:
+        """The acceleration [m/s^2] as a function of the inertial position [m] alone."""
+
         def along_axis(r):
             return accel_zonal(r, self.degree, self.gm, self.radius, self.coefficients)
 
@@ -140,18 +142,4 @@ class Zonal:
 
     def accel(self, t: Scalar, r: Vector3, v: Vector3, spacecraft: Spacecraft, environment: Environment) -> Vector3:
         """Inertial acceleration [m/s^2]."""
-        return self._field(environment)(r)
-
-    def relative(
-        self,
-        t: Scalar,
-        r: Vector3,
-        v: Vector3,
-        rho: Vector3,
-        rho_dot: Vector3,
-        chief: Spacecraft,
-        spacecraft: Spacecraft,
-        environment: Environment,
-    ) -> Vector3:
-        """By subtraction in float64, by expansion in float32: see `field_difference`."""
-        return field_difference(self._field(environment), r, rho)
+        return self.acceleration_field(environment)(r)

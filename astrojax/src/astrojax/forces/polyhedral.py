@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from astrojax._types import FloatScalar, Scalar, Vector3
-from astrojax.forces.base import Traced, field_difference, force, static, turned, turned_back
+from astrojax.forces.base import Traced, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
 from astrojax.forces.spacecraft import Spacecraft
 
@@ -169,7 +169,9 @@ class PolyhedralGravity:
     def needs(self) -> frozenset[str]:
         return frozenset({"rotation"} if self.rotating else ())
 
-    def _field(self, environment: Environment) -> Callable[[Float[Array, "3"]], Float[Array, "3"]]:
+    def acceleration_field(self, environment: Environment) -> Callable[[Float[Array, "3"]], Float[Array, "3"]]:
+        """The acceleration [m/s^2] as a function of the inertial position [m] alone."""
+
         def fixed(r):
             return accel_polyhedron(r, self.body, self.density, self.gravitational_constant)
 
@@ -180,18 +182,4 @@ class PolyhedralGravity:
 
     def accel(self, t: Scalar, r: Vector3, v: Vector3, spacecraft: Spacecraft, environment: Environment) -> Vector3:
         """Inertial acceleration [m/s^2]."""
-        return self._field(environment)(r)
-
-    def relative(
-        self,
-        t: Scalar,
-        r: Vector3,
-        v: Vector3,
-        rho: Vector3,
-        rho_dot: Vector3,
-        chief: Spacecraft,
-        spacecraft: Spacecraft,
-        environment: Environment,
-    ) -> Vector3:
-        """By subtraction in float64, by expansion in float32: see `field_difference`."""
-        return field_difference(self._field(environment), r, rho)
+        return self.acceleration_field(environment)(r)

@@ -2,10 +2,10 @@
 
 import jax.numpy as jnp
 
-from astrojax._types import FloatScalar, Scalar, Vector3, dot, inverse_norm
+from astrojax._types import FloatScalar, Scalar, Vector3, inverse_norm
 from astrojax.attitude import quat_rotate
-from astrojax.constants import AU, R_EARTH
-from astrojax.ephemeris import illumination_conical
+from astrojax.constants import AU
+from astrojax.ephemeris import illumination_conical, illumination_cylindrical
 from astrojax.forces.base import Traced, force, static
 from astrojax.forces.environment import Environment
 from astrojax.forces.spacecraft import Plates, Spacecraft
@@ -14,25 +14,6 @@ SOLAR_PRESSURE = 1361.0 / 299792458.0
 """At 1 au [N/m^2]: the total solar irradiance of 1361 W/m^2 (Kopp and Lean 2011, doi:10.1029/2010GL045777) over c."""
 
 SHADOWS = ("conical", "cylindrical", "none")
-
-
-def illumination_cylindrical(r: Vector3, r_sun: Vector3, radius: Scalar = R_EARTH) -> FloatScalar:
-    """1 in sunlight, 0 in a shadow as wide as the Earth, without penumbra or end.
-
-    Args:
-        r: (3,) position of the vehicle from Earth's centre [m].
-        r_sun: (3,) position of the Sun from Earth's centre [m], same axes.
-        radius: of the shadow [m].
-
-    Validity: in low orbit the terminator is within 10 s of the truth. Its derivative is zero everywhere, and
-    tells nothing of the edge's own motion; `illumination_conical` is smooth.
-
-    Source: Montenbruck and Gill, Satellite Orbits, sec. 3.4.2.
-    """
-    along = dot(r, r_sun * inverse_norm(r_sun))
-    across = dot(r, r) - along * along
-    dark = (along < 0) & (across < radius * radius)
-    return jnp.where(dark, jnp.zeros_like(along), jnp.ones_like(along))
 
 
 def accel_radiation(

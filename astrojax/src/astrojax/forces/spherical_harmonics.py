@@ -8,6 +8,7 @@ order shares its lane with a short one, so that all lanes are busy at every step
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Array
 
 from astrojax._types import FloatScalar, Matrix3, Scalar, Vector3, inverse_norm
-from astrojax.forces.base import Traced, field_difference, force, static, turned, turned_back
+from astrojax.forces.base import Traced, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
 from astrojax.forces.fields import GravityField
 from astrojax.forces.spacecraft import Spacecraft
@@ -275,7 +276,8 @@ class SphericalHarmonics:
         if isinstance(self.field, GravityField) and hasattr(self.field.c, "shape"):
             _checked(self.field, self.degree, self.order)
 
-    def _field(self, environment: Environment):
+    def acceleration_field(self, environment: Environment) -> Callable[[Vector3], Vector3]:
+        """The acceleration [m/s^2] as a function of the inertial position [m] alone."""
         rotation: Matrix3 = environment.required("rotation", "SphericalHarmonics")
 
         def inertial(r):
@@ -286,18 +288,4 @@ class SphericalHarmonics:
 
     def accel(self, t: Scalar, r: Vector3, v: Vector3, spacecraft: Spacecraft, environment: Environment) -> Vector3:
         """Inertial acceleration [m/s^2]."""
-        return self._field(environment)(r)
-
-    def relative(
-        self,
-        t: Scalar,
-        r: Vector3,
-        v: Vector3,
-        rho: Vector3,
-        rho_dot: Vector3,
-        chief: Spacecraft,
-        spacecraft: Spacecraft,
-        environment: Environment,
-    ) -> Vector3:
-        """By subtraction in float64, by expansion in float32: see `field_difference`."""
-        return field_difference(self._field(environment), r, rho)
+        return self.acceleration_field(environment)(r)

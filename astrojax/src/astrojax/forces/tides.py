@@ -1,13 +1,14 @@
 """Tides of the solid Earth: the harmonics of its gravity that the Sun and the Moon raise."""
 
 import math
+from collections.abc import Callable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax._types import Scalar, Vector3, inverse_norm
 from astrojax.constants import GM_EARTH, GM_MOON, GM_SUN, R_EARTH
-from astrojax.forces.base import Traced, field_difference, force, static, turned, turned_back
+from astrojax.forces.base import Traced, force, static, turned, turned_back
 from astrojax.forces.environment import Environment
 from astrojax.forces.fields import GravityField
 from astrojax.forces.spacecraft import Spacecraft
@@ -94,7 +95,8 @@ class SolidTides:
         if self.tide_system not in TIDE_SYSTEMS:
             raise ValueError(f"tide_system: expected one of {TIDE_SYSTEMS}, got {self.tide_system!r}")
 
-    def _field(self, environment: Environment):
+    def acceleration_field(self, environment: Environment) -> Callable[[Vector3], Vector3]:
+        """The acceleration [m/s^2] as a function of the inertial position [m] alone."""
         rotation = environment.required("rotation", "SolidTides")
         c, s = 0.0, 0.0
         for body, gm_body in (("sun", self.gm_sun), ("moon", self.gm_moon)):
@@ -112,18 +114,4 @@ class SolidTides:
 
     def accel(self, t: Scalar, r: Vector3, v: Vector3, spacecraft: Spacecraft, environment: Environment) -> Vector3:
         """Inertial acceleration [m/s^2]."""
-        return self._field(environment)(r)
-
-    def relative(
-        self,
-        t: Scalar,
-        r: Vector3,
-        v: Vector3,
-        rho: Vector3,
-        rho_dot: Vector3,
-        chief: Spacecraft,
-        spacecraft: Spacecraft,
-        environment: Environment,
-    ) -> Vector3:
-        """By subtraction in float64, by expansion in float32: see `field_difference`."""
-        return field_difference(self._field(environment), r, rho)
+        return self.acceleration_field(environment)(r)

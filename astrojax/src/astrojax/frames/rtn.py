@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from astrojax._types import Matrix3, Vector3, Vector6, cross, dot, inverse_norm
+from astrojax.attitude import skew
 
 Matrix6 = Float[Array, "6 6"]
 
@@ -95,10 +96,7 @@ def jacobian_eci_to_rtn(state: Vector6, accel: Vector3 | None = None, *, rotatin
     zero = jnp.zeros_like(rotation)
     turning = zero
     if rotating:
-        x, y, z = _rate(state, accel)
-        none = jnp.zeros_like(x)
-        rate = jnp.stack([jnp.stack([none, -z, y]), jnp.stack([z, none, -x]), jnp.stack([-y, x, none])])
-        turning = -rate @ rotation
+        turning = -skew(_rate(state, accel)) @ rotation
     return jnp.block([[rotation, zero], [turning, rotation]])
 
 

@@ -3,12 +3,10 @@
 It is defined by the sidereal time of 1982: turned by that angle about the pole, it becomes the Earth-fixed frame.
 """
 
-import jax
 import jax.numpy as jnp
 
-from astrojax import constants as c
 from astrojax._types import Matrix3, Scalar, Vector6, float_dtype
-from astrojax.frames._turns import turn_x, turn_y, turn_z
+from astrojax.frames._turns import into_turning, out_of_turning, turn_x, turn_y, turn_z, with_rate
 from astrojax.frames.eop import EarthOrientation
 from astrojax.frames.pole import PoleModel, PoleSeries
 from astrojax.frames.terrestrial import orientation_in, rotation_gcrf_to_cirs
@@ -48,7 +46,7 @@ def state_teme_to_itrf(
         orientation: Earth orientation.
     """
     rotation, rate = _rotation_and_rate(day, seconds, orientation)
-    return jnp.concatenate([rotation @ state[:3], rotation @ state[3:] + rate @ state[:3]])
+    return into_turning(rotation, rate, state)
 
 
 def state_itrf_to_teme(
@@ -63,8 +61,7 @@ def state_itrf_to_teme(
         orientation: Earth orientation.
     """
     rotation, rate = _rotation_and_rate(day, seconds, orientation)
-    position = rotation.T @ state[:3]
-    return jnp.concatenate([position, rotation.T @ (state[3:] - rate @ position)])
+    return out_of_turning(rotation, rate, state)
 
 
 def _rotation_and_rate(day, seconds, orientation):
@@ -74,8 +71,7 @@ def _rotation_and_rate(day, seconds, orientation):
     def at(seconds, ut1_minus_utc):
         return rotation_teme_to_itrf(day, seconds, o._replace(ut1_minus_utc=ut1_minus_utc))
 
-    rates = jnp.ones((), dtype), -o.lod / c.SECONDS_PER_DAY
-    return jax.jvp(at, (jnp.asarray(seconds, dtype), o.ut1_minus_utc), rates)
+    return with_rate(at, seconds, o.ut1_minus_utc, o.lod)
 
 
 def rotation_teme_to_gcrf(

@@ -4,12 +4,11 @@
 and 0.5 arcsec of the pole off. `pole` says how the celestial pole is found: the whole series unless told otherwise.
 """
 
-import jax
 import jax.numpy as jnp
 
 from astrojax import constants as c
 from astrojax._types import FloatScalar, Matrix3, Scalar, Vector6, float_dtype
-from astrojax.frames._turns import turn_x, turn_y, turn_z
+from astrojax.frames._turns import into_turning, out_of_turning, turn_x, turn_y, turn_z, with_rate
 from astrojax.frames.eop import EarthOrientation
 from astrojax.frames.pole import CelestialPole, PoleModel, PoleSeries
 from astrojax.time import centuries_tt, earth_rotation_angle
@@ -54,8 +53,13 @@ def rotation_tirs_to_itrf(t: Scalar, x: FloatScalar, y: FloatScalar) -> Matrix3:
 
     Source: IERS Conventions (2010), TN 36, eqs. 5.3 and 5.13.
     """
+    return _polar_motion(t, x, y, jnp.eye(3, dtype=x.dtype))
+
+
+def _polar_motion(t: Scalar, x: FloatScalar, y: FloatScalar, m: Matrix3) -> Matrix3:
+    """The same after another rotation: applied in turn, no product of matrices."""
     locator = (-47e-6 * c.ARCSECOND) * jnp.asarray(t, x.dtype)
-    return turn_x(-y, turn_y(-x, turn_z(locator, jnp.eye(3, dtype=x.dtype))))
+    return turn_x(-y, turn_y(-x, turn_z(locator, m)))
 
 
 def rotation_gcrf_to_itrf(
@@ -85,9 +89,7 @@ def _rotation(day, seconds, orientation, pole) -> tuple[Matrix3, EarthOrientatio
     at = pole.at(day, seconds)
     inertial = rotation_gcrf_to_cirs(at._replace(x=at.x + o.dx, y=at.y + o.dy))
     turned = turn_z(earth_rotation_angle(day, seconds + o.ut1_minus_utc), inertial)
-    # s' and the pole's coordinates, below 2e-6 rad: applied in turn, no product of matrices.
-    locator = (-47e-6 * c.ARCSECOND) * centuries_tt(day, seconds)
-    return turn_x(-o.y, turn_y(-o.x, turn_z(locator, turned))), o
+    return _polar_motion(centuries_tt(day, seconds), o.x, o.y, turned), o
 
 
 def rotation_and_rate_gcrf_to_itrf(
@@ -107,8 +109,7 @@ def rotation_and_rate_gcrf_to_itrf(
     def at(seconds, ut1_minus_utc):
         return _rotation(day, seconds, o._replace(ut1_minus_utc=ut1_minus_utc), pole)[0]
 
-    rates = jnp.ones((), dtype), -o.lod / c.SECONDS_PER_DAY
-    return jax.jvp(at, (jnp.asarray(seconds, dtype), o.ut1_minus_utc), rates)
+    return with_rate(at, seconds, o.ut1_minus_utc, o.lod)
 
 
 def state_gcrf_to_itrf(
@@ -129,7 +130,7 @@ def state_gcrf_to_itrf(
     Validity: as `rotation_gcrf_to_itrf`; velocity as `rotation_and_rate_gcrf_to_itrf`.
     """
     rotation, rate = rotation_and_rate_gcrf_to_itrf(day, seconds, orientation, pole)
-    return jnp.concatenate([rotation @ state[:3], rotation @ state[3:] + rate @ state[:3]])
+    return into_turning(rotation, rate, state)
 
 
 def state_itrf_to_gcrf(
@@ -148,5 +149,4 @@ def state_itrf_to_gcrf(
         orientation, pole: as in `rotation_gcrf_to_itrf`.
     """
     rotation, rate = rotation_and_rate_gcrf_to_itrf(day, seconds, orientation, pole)
-    position = rotation.T @ state[:3]
-    return jnp.concatenate([position, rotation.T @ (state[3:] - rate @ position)])
+    return out_of_turning(rotation, rate, state)

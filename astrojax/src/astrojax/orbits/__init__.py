@@ -23,6 +23,7 @@ from astrojax.orbits.equinoctial import (
     equinoctial_to_keplerian,
     keplerian_to_equinoctial,
 )
+from astrojax.orbits.events import event_altitude, event_apsis, event_eclipse, event_node
 from astrojax.orbits.hcw import accel_hcw, stm_hcw
 from astrojax.orbits.keplerian import (
     cartesian_to_keplerian,
@@ -56,6 +57,10 @@ __all__ = [
     "eccentricity_frozen",
     "equinoctial_to_cartesian",
     "equinoctial_to_keplerian",
+    "event_altitude",
+    "event_apsis",
+    "event_eclipse",
+    "event_node",
     "hyperbolic_to_mean",
     "hyperbolic_to_true",
     "inclination_sun_synchronous",

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from astrojax._types import FloatScalar, Scalar, float_dtype
+from astrojax.orbits._angles import TURN
 
-_TURN = 6.283185307179586
 _STEPS = 10
 
 
@@ -72,8 +72,8 @@ def _cubic_root(a, b):
 
 @jax.custom_jvp
 def _eccentric(m, e):
-    turns = jnp.round(m / _TURN)
-    m = m - _TURN * turns
+    turns = jnp.round(m / TURN)
+    m = m - TURN * turns
     near = _cubic_root(1.0 - e, m)  # exact about the perigee of a long ellipse, and never too small by much
     far = m + e * jnp.sin(m) * jax.lax.rsqrt(1.0 - 2.0 * e * jnp.cos(m) + e * e + 1e-9)
     ecc = jnp.where((e > 0.8) & (jnp.abs(m) < 1.0), near, far)
@@ -86,7 +86,7 @@ def _eccentric(m, e):
         d2 = -miss / (slope + 0.5 * d1 * e * s)
         return ecc - miss / (slope + 0.5 * d2 * e * s + d2 * d2 * e * c / 6.0)
 
-    return jax.lax.fori_loop(0, _STEPS, step, ecc) + _TURN * turns
+    return jax.lax.fori_loop(0, _STEPS, step, ecc) + TURN * turns
 
 
 @_eccentric.defjvp

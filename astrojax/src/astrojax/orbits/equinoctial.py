@@ -9,9 +9,8 @@ import jax.numpy as jnp
 
 from astrojax._types import Scalar, Vector6, cross, dot, inverse_norm, safe_sqrt
 from astrojax.constants import GM_EARTH
+from astrojax.orbits._angles import positive, unsigned
 from astrojax.orbits.anomalies import mean_to_true, true_to_mean
-
-_TURN = 6.283185307179586
 
 
 def cartesian_to_equinoctial(state: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
@@ -34,7 +33,7 @@ def cartesian_to_equinoctial(state: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
     ecc = cross(v, w_h) / gm - r * inv_r
     u = r * inv_r
     longitude = jnp.arctan2(dot(g_axis, u), dot(f_axis, u))
-    return jnp.stack([h2 / gm, dot(ecc, f_axis), dot(ecc, g_axis), h, k, _positive(longitude)])
+    return jnp.stack([h2 / gm, dot(ecc, f_axis), dot(ecc, g_axis), h, k, unsigned(longitude)])
 
 
 def equinoctial_to_cartesian(elements: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
@@ -62,7 +61,7 @@ def keplerian_to_equinoctial(elements: Vector6) -> Vector6:
             e * jnp.sin(perigee),
             half * jnp.cos(raan),
             half * jnp.sin(raan),
-            longitude - _TURN * jnp.floor(longitude / _TURN),
+            positive(longitude),
         ]
     )
 
@@ -82,7 +81,7 @@ def equinoctial_to_keplerian(elements: Vector6) -> Vector6:
     raan = jnp.arctan2(jnp.where(inclined, k, 0.0), jnp.where(inclined, h, 1.0))
     perigee = jnp.where(eccentric, jnp.arctan2(jnp.where(eccentric, g, 0.0), jnp.where(eccentric, f, 1.0)), raan)
     m = true_to_mean(longitude - perigee, e)
-    angles = (angle - _TURN * jnp.floor(angle / _TURN) for angle in (raan, perigee - raan, m))
+    angles = (positive(angle) for angle in (raan, perigee - raan, m))
     return jnp.stack([p / ((1.0 - e) * (1.0 + e)), e, inc, *angles])
 
 
@@ -108,7 +107,7 @@ def cartesian_to_conic(state: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
     inc = 2.0 * jnp.arctan(safe_sqrt(jnp.where(inclined, t2, 0.0)))
     raan = jnp.arctan2(jnp.where(inclined, k, 0.0), jnp.where(inclined, h, 1.0))
     perigee = jnp.where(eccentric, jnp.arctan2(jnp.where(eccentric, g, 0.0), jnp.where(eccentric, f, 1.0)), raan)
-    angles = (angle - _TURN * jnp.floor(angle / _TURN) for angle in (raan, perigee - raan, longitude - perigee))
+    angles = (positive(angle) for angle in (raan, perigee - raan, longitude - perigee))
     return jnp.stack([p, e, inc, *angles])
 
 
@@ -127,7 +126,3 @@ def _axes(h, k):
     f_axis = jnp.stack([1.0 - k * k + h * h, 2.0 * h * k, -2.0 * k]) / s
     g_axis = jnp.stack([2.0 * h * k, 1.0 + k * k - h * h, 2.0 * h]) / s
     return f_axis, g_axis
-
-
-def _positive(angle):
-    return jnp.where(angle < 0.0, angle + _TURN, angle)

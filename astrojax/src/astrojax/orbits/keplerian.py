@@ -8,8 +8,8 @@ import jax.numpy as jnp
 
 from astrojax._types import FloatScalar, Scalar, Vector6, cross, dot, float_dtype, inverse_norm, safe_sqrt
 from astrojax.constants import GM_EARTH, J2, R_EARTH
+from astrojax.orbits._angles import TURN, nearest, unsigned
 
-_TWO_PI = 6.283185307179586
 _KEPLER_STEPS = 5
 
 
@@ -21,7 +21,7 @@ def mean_motion(a: Scalar, gm: Scalar = GM_EARTH) -> FloatScalar:
 
 @jax.custom_jvp
 def _solve_kepler(mean_anomaly: FloatScalar, e: FloatScalar) -> FloatScalar:
-    m = _wrap_pi(mean_anomaly)
+    m = nearest(mean_anomaly)
     ecc = m + 0.85 * e * jnp.where(m < 0, -1.0, 1.0)
     for _ in range(_KEPLER_STEPS):
         es, ec = e * jnp.sin(ecc), e * jnp.cos(ecc)
@@ -62,7 +62,7 @@ def propagate_keplerian(elements: Vector6, dt: Scalar, gm: Scalar = GM_EARTH) ->
         dt: seconds, either sign. In float32 a week costs about 4e-5 rad.
     """
     anomaly = elements[5] + mean_motion(elements[0], gm) * dt
-    return elements.at[5].set(anomaly - _TWO_PI * jnp.floor(anomaly / _TWO_PI))
+    return elements.at[5].set(anomaly - TURN * jnp.floor(anomaly / TURN))
 
 
 def secular_rates_j2(elements: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
@@ -150,13 +150,4 @@ def cartesian_to_keplerian(state: Vector6, gm: Scalar = GM_EARTH) -> Vector6:
     sin_nu, cos_nu = dot(cross(w, apse), u), dot(apse, u)
     ecc = jnp.arctan2(safe_sqrt((1.0 - e) * (1.0 + e)) * sin_nu, e + cos_nu)
     m = ecc - e * jnp.sin(ecc)
-    return jnp.stack([a, e, inc, _wrap_positive(raan), _wrap_positive(argp), _wrap_positive(m)])
-
-
-def _wrap_pi(angle: FloatScalar) -> FloatScalar:
-    return angle - _TWO_PI * jnp.round(angle / _TWO_PI)
-
-
-def _wrap_positive(angle: FloatScalar) -> FloatScalar:
-    """An angle of atan2, in [-pi, pi], moved to [0, 2 pi)."""
-    return jnp.where(angle < 0, angle + _TWO_PI, angle)
+    return jnp.stack([a, e, inc, unsigned(raan), unsigned(argp), unsigned(m)])

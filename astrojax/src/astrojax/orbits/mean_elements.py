@@ -10,9 +10,9 @@ import jax.numpy as jnp
 
 from astrojax._types import Vector6, safe_sqrt
 from astrojax.constants import J2, R_EARTH
+from astrojax.orbits._angles import nearest, positive
 from astrojax.orbits.anomalies import mean_to_true
 
-_TURN = 6.283185307179586
 _CRITICAL = 0.02  # of 1 - 5 cos^2 i: within some 0.3 deg of the critical inclination the divisors mean nothing
 _STEPS = 6
 
@@ -47,7 +47,7 @@ def osculating_to_mean(osculating: Vector6) -> Vector6:
 
     def step(_, guess):
         miss = target - _nonsingular(_lyddane(_singular(guess)))
-        return guess + jnp.concatenate([miss[:5], _wrap(miss[5])[None]])
+        return guess + jnp.concatenate([miss[:5], nearest(miss[5])[None]])
 
     return _singular(jax.lax.fori_loop(0, _STEPS, step, target))
 
@@ -120,7 +120,7 @@ def _lyddane(elements: Vector6) -> Vector6:
     raan_new, half = _polar(d3, d4)
     inc_new = 2.0 * jnp.arctan2(half, safe_sqrt(1.0 - half * half))
     argp_new = m + argp + raan + d_sum - m_new - raan_new
-    return jnp.stack([a_new, e_new, inc_new, _positive(raan_new), _positive(argp_new), _positive(m_new)])
+    return jnp.stack([a_new, e_new, inc_new, positive(raan_new), positive(argp_new), positive(m_new)])
 
 
 def _polar(y, x):
@@ -143,12 +143,4 @@ def _singular(elements: Vector6) -> Vector6:
     m, e = _polar(y, x)
     raan, half = _polar(w, z)
     inc = 2.0 * jnp.arctan2(half, safe_sqrt(1.0 - half * half))
-    return jnp.stack([a, e, inc, *(_positive(angle) for angle in (raan, total - m - raan, m))])
-
-
-def _positive(angle):
-    return angle - _TURN * jnp.floor(angle / _TURN)
-
-
-def _wrap(angle):
-    return angle - _TURN * jnp.round(angle / _TURN)
+    return jnp.stack([a, e, inc, *(positive(angle) for angle in (raan, total - m - raan, m))])

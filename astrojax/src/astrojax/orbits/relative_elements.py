@@ -9,8 +9,7 @@ from jaxtyping import Array, Float
 
 from astrojax._types import Scalar, Vector6
 from astrojax.constants import GM_EARTH, J2, R_EARTH
-
-_TURN = 6.283185307179586
+from astrojax.orbits._angles import nearest, positive
 
 
 def keplerian_to_roe(chief: Vector6, deputy: Vector6) -> Vector6:
@@ -26,11 +25,11 @@ def keplerian_to_roe(chief: Vector6, deputy: Vector6) -> Vector6:
     """
     a, e, inc, raan, argp, m = chief
     a_d, e_d, inc_d, raan_d, argp_d, m_d = deputy
-    node = _wrap(raan_d - raan)
+    node = nearest(raan_d - raan)
     return jnp.stack(
         [
             (a_d - a) / a,
-            _wrap(m_d - m + argp_d - argp + node * jnp.cos(inc)),
+            nearest(m_d - m + argp_d - argp + node * jnp.cos(inc)),
             e_d * jnp.cos(argp_d) - e * jnp.cos(argp),
             e_d * jnp.sin(argp_d) - e * jnp.sin(argp),
             inc_d - inc,
@@ -57,7 +56,7 @@ def roe_to_keplerian(chief: Vector6, roe: Vector6) -> Vector6:
     argp_d = jnp.arctan2(jnp.where(eccentric, ey, 0.0), jnp.where(eccentric, ex, 1.0))
     node = diy / jnp.sin(inc)
     m_d = m + dl - (argp_d - argp) - node * jnp.cos(inc)
-    angles = (angle - _TURN * jnp.floor(angle / _TURN) for angle in (raan + node, argp_d, m_d))
+    angles = (positive(angle) for angle in (raan + node, argp_d, m_d))
     return jnp.stack([a * (1.0 + da), e_d, inc + dix, *angles])
 
 
@@ -100,7 +99,3 @@ def stm_roe_j2(chief: Vector6, dt: Scalar, gm: Scalar = GM_EARTH) -> Float[Array
         [3.5 * k * s, zero, -4.0 * k * x0 * big_g * s, -4.0 * k * y0 * big_g * s, 2.0 * k * t, one],
     ]
     return jnp.stack([jnp.stack(row) for row in rows])
-
-
-def _wrap(angle):
-    return angle - _TURN * jnp.round(angle / _TURN)

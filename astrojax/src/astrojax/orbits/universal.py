@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 from astrojax._types import Scalar, Vector6, dot, inverse_norm
 from astrojax.constants import GM_EARTH
+from astrojax.orbits._angles import TURN
 
 _STEPS = 14
-_TURN = 6.283185307179586
 _LONGEST = 80.0  # of sqrt(-alpha) x: beyond, float32 overflows
 
 
@@ -124,7 +124,7 @@ def propagate_universal(state: Vector6, dt: Scalar, gm: Scalar = GM_EARTH) -> Ve
 
     closed = alpha > 1e-6
     a = jnp.where(closed, alpha, 1.0)
-    period = _TURN / (a * jnp.sqrt(a))
+    period = TURN / (a * jnp.sqrt(a))
     turns = jax.lax.stop_gradient(jnp.round(tau / period))
     tau = tau - jnp.where(closed, turns * period, 0.0)
 

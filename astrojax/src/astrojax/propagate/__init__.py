@@ -12,10 +12,6 @@ from astrojax.propagate.dense import Trajectory, interpolate, trajectory
 from astrojax.propagate.dormand_prince import DORMAND_PRINCE
 from astrojax.propagate.events import (
     Events,
-    event_altitude,
-    event_apsis,
-    event_eclipse,
-    event_node,
     events,
 )
 from astrojax.propagate.fehlberg import FEHLBERG
@@ -37,10 +33,6 @@ __all__ = [
     "Solution",
     "Trajectory",
     "compensated_add",
-    "event_altitude",
-    "event_apsis",
-    "event_eclipse",
-    "event_node",
     "events",
     "integrate",
     "interpolate",

@@ -98,15 +98,25 @@ def integrate(
     checked(method, y, max_steps)
     start, step = stepper(flat, t0, y, t1, method, rtol, atol, first_step, max_step)
 
-    def turn(p):
-        return step(p)[0]
+    end, _ = advanced(lambda p, _: (step(p)[0], None), start, None, max_steps, bounded)
+    return Solution(end.t, unravel(end.y), end.status, end.steps, end.rejected)
+
+
+def advanced(turn: Callable, start: Progress, kept: PyTree, max_steps: int, bounded: bool) -> tuple[Progress, PyTree]:
+    """Where turns of (progress, kept) come to, once the end is reached or `max_steps` were tried."""
+
+    def going(carry):
+        return (carry[0].status == RUNNING) & (carry[0].steps + carry[0].rejected < max_steps)
 
     if bounded:
-        end, _ = jax.lax.scan(lambda p, _: (select(p.status == RUNNING, turn(p), p), None), start, length=max_steps)
+
+        def body(carry, _):
+            return select(going(carry), turn(*carry), carry), None
+
+        (end, kept), _ = jax.lax.scan(body, (start, kept), length=max_steps)
     else:
-        end = jax.lax.while_loop(lambda p: (p.status == RUNNING) & (p.steps + p.rejected < max_steps), turn, start)
-    status = jnp.where(end.status == RUNNING, TOO_MANY_STEPS, end.status)
-    return Solution(end.t, unravel(end.y), status, end.steps, end.rejected)
+        end, kept = jax.lax.while_loop(going, lambda carry: turn(*carry), (start, kept))
+    return end._replace(status=jnp.where(end.status == RUNNING, TOO_MANY_STEPS, end.status)), kept
 
 
 def flattened(f: Callable, y0: PyTree, args: tuple) -> tuple[Callable, Float[Array, "n"], Callable]:

@@ -7,13 +7,12 @@ the cubic through both ends (6.7), with a term more for Dormand and Prince's met
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax.tree_util import Partial
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, PyTree
 
 from astrojax._types import FloatScalar, Scalar
-from astrojax.propagate.adaptive import RUNNING, TOO_MANY_STEPS, checked, flattened, select, stepper
+from astrojax.propagate.adaptive import advanced, checked, flattened, stepper
 from astrojax.propagate.dormand_prince import DORMAND_PRINCE
 from astrojax.propagate.methods import Method
 
@@ -71,8 +70,8 @@ def trajectory(
     ts = jnp.full(max_steps + 1, start.t)
     room = (ts, empty.at[0].set(start.y), empty.at[0].set(start.slope), empty[1:])
 
-    def turn(carry):
-        p, (ts, ys, slopes, bends) = carry
+    def turn(p, kept):
+        ts, ys, slopes, bends = kept
         after, (tried, _, accept) = step(p)
         at = jnp.where(accept, p.steps, max_steps + 1)  # a rejected step is written nowhere
         ts = ts.at[at + 1].set(after.t, mode="drop")
@@ -81,20 +80,11 @@ def trajectory(
         bends = bends.at[at].set(tried.bend, mode="drop")
         return after, (ts, ys, slopes, bends)
 
-    def going(carry):
-        p, _ = carry
-        return (p.status == RUNNING) & (p.steps + p.rejected < max_steps)
-
-    if bounded:
-        carry, _ = jax.lax.scan(lambda c, _: (select(going(c), turn(c), c), None), (start, room), length=max_steps)
-    else:
-        carry = jax.lax.while_loop(going, turn, (start, room))
-    end, (ts, ys, slopes, bends) = carry
+    end, (ts, ys, slopes, bends) = advanced(turn, start, room, max_steps, bounded)
     later = jnp.arange(max_steps + 1, dtype=jnp.int32) > end.steps
     ts = jnp.where(later, end.t, ts)
     ys, slopes = (jnp.where(later[:, None], a[None], b) for a, b in ((end.y, ys), (end.slope, slopes)))
-    status = jnp.where(end.status == RUNNING, TOO_MANY_STEPS, end.status)
-    return Trajectory(ts, ys, slopes, bends, status, end.steps, end.rejected, Partial(unravel))
+    return Trajectory(ts, ys, slopes, bends, end.status, end.steps, end.rejected, Partial(unravel))
 
 
 def interpolate(path: Trajectory, t: Scalar) -> tuple[PyTree, Bool[Array, ""]]:

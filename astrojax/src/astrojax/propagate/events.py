@@ -7,8 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from astrojax._types import FloatScalar, Scalar, Vector6, cross, dot, inverse_norm, safe_sqrt
-from astrojax.constants import R_EARTH, R_SUN
+from astrojax._types import FloatScalar, Scalar
 from astrojax.propagate.adaptive import flattened
 from astrojax.propagate.dense import Trajectory, between
 from astrojax.propagate.dormand_prince import DORMAND_PRINCE
@@ -46,7 +45,7 @@ def events(
 
     Args:
         path: from `trajectory`.
-        g: event function of time and state.
+        g: event function of time and state, such as those of `orbits.events`.
         f, args, method: what the trajectory was made with: the last refinements are steps of it, so that an event is
             as accurate as the trajectory, not as its interpolant.
         direction: static: 1 for signs that rise along the trajectory, -1 for those that fall, 0 for both.
@@ -112,58 +111,3 @@ def events(
 
     t, y, happened = jax.vmap(refine)(found)
     return Events(t, y, happened, jnp.sum(crossed, dtype=jnp.int32))
-
-
-def event_node(t: Scalar, y: Vector6) -> FloatScalar:
-    """Crossing of the plane z = 0: rising at the ascending node.
-
-    Args:
-        t: not used.
-        y: (6,) position and velocity [m, m/s].
-    """
-    del t
-    return y[2]
-
-
-def event_apsis(t: Scalar, y: Vector6) -> FloatScalar:
-    """Radial velocity [m/s]: rising at periapsis, falling at apoapsis.
-
-    Args:
-        t: not used.
-        y: (6,) position and velocity [m, m/s].
-    """
-    del t
-    return dot(y[:3], y[3:]) * inverse_norm(y[:3])
-
-
-def event_altitude(altitude: Scalar) -> Callable[[Scalar, Vector6], FloatScalar]:
-    """Event of passing an altitude above the equator's radius [m], rising or falling with it."""
-
-    def event(t: Scalar, y: Vector6) -> FloatScalar:
-        del t
-        return 1.0 / inverse_norm(y[:3]) - (R_EARTH + altitude)
-
-    return event
-
-
-def event_eclipse(sun: Callable[[Scalar], Array], *, umbra: bool = False) -> Callable[[Scalar, Vector6], FloatScalar]:
-    """Event of entering the Earth's shadow, where it falls, and of leaving it, where it rises.
-
-    Args:
-        sun: gives the position (3,) of the Sun [m] at a time, in the axes of the state.
-        umbra: static: the Sun wholly hidden; else at all.
-
-    Source: the angles of Montenbruck and Gill, Satellite Orbits, sec. 3.4.2; the Earth is a sphere.
-    """
-    side = -1.0 if umbra else 1.0
-
-    def event(t: Scalar, y: Vector6) -> FloatScalar:
-        r_sun = sun(t)
-        inv_d = inverse_norm(r_sun)
-        r, to_sun = y[:3] * inv_d, (r_sun - y[:3]) * inv_d
-        axis = cross(r, to_sun)
-        separation = jnp.arctan2(safe_sqrt(dot(axis, axis)), -dot(r, to_sun))
-        earth = jnp.arcsin(jnp.minimum(R_EARTH * inv_d * inverse_norm(r), 1.0 - jnp.finfo(r.dtype).eps))
-        return separation - earth - side * jnp.arcsin(R_SUN * inv_d * inverse_norm(to_sun))
-
-    return event

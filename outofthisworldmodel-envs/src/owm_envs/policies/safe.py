@@ -9,10 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_rotate
-from owm_envs.field import clearance, cost_to_go
 from owm_envs.field.drift import drift_shortfall
 from owm_envs.policies.base import Vehicle, goal_of, read_view
-from owm_envs.policies.geodesic import body_wrench, turn_towards
+from owm_envs.policies.geodesic import body_wrench, field_speed, turn_towards
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout
 from owm_envs.view import View
@@ -87,18 +86,13 @@ class DockSafePolicy:
 
     def wanted_velocity(self, port: Int[Array, ""], view: View) -> Float[Array, "3"]:
         """The velocity to fly at, m/s, station frame."""
-        dtype = view.position.dtype
-        row = jnp.asarray(self.rows)[port]
-        cost, gradient = cost_to_go(self.field, jnp.maximum(row, 0), view.position)
-        gap = clearance(self.field, view.position)
-        cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
-        speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
-        speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
+        speed, gradient, gap = field_speed(self.field, self.rows, port, view.position)
+        lacking = jnp.isnan(speed)
         speed = jnp.minimum(speed, 0.2 + 0.12 * jnp.maximum(gap, 0))
         down = -gradient / jnp.maximum(safe_norm(gradient), 1e-6)
         wanted = jnp.where(gap > NEAR, self._passing_by(view, speed, down), speed * down)
         last, velocity = _last_leg(port, view)
-        return jnp.where(row < 0, jnp.nan, jnp.where(last, velocity, wanted))
+        return jnp.where(lacking, jnp.nan, jnp.where(last, velocity, wanted))
 
     def _passing_by(self, view: View, speed: Float[Array, ""], down: Float[Array, "3"]) -> Float[Array, "3"]:
         """The velocity of most progress whose drift keeps clear; where none does, the one that falls least short."""

@@ -213,25 +213,25 @@ def within_contact_limits(flights: Flights, *, least_closing: bool = True) -> Bo
     return met & ~flights.collided
 
 
+def safe_share(flights: Flights) -> float | None:
+    """Share of all instants from which coasting stays clear of the hull; None where it was not looked at."""
+    return None if flights.instants is None else _share(flights.instants_safe, flights.instants)
+
+
 def far_safe_share(flights: Flights) -> float | None:
-    """Share of the instants beyond 10 m of the hull from which coasting stays clear; None where not looked at."""
-    if flights.instants_far is None or not flights.instants_far.sum():
-        return None
-    return float(flights.instants_far_safe.sum() / flights.instants_far.sum())
+    """The same of the instants beyond 10 m of the hull."""
+    return None if flights.instants_far is None else _share(flights.instants_far_safe, flights.instants_far)
 
 
 def avoidable_share(flights: Flights) -> float | None:
     """Share of the instants nearer than that from which a small impulse leads clear; None where not looked at."""
-    if flights.instants_far is None or not (near := (flights.instants - flights.instants_far).sum()):
+    if flights.instants_far is None:
         return None
-    return float(flights.instants_avoidable.sum() / near)
+    return _share(flights.instants_avoidable, flights.instants - flights.instants_far)
 
 
-def safe_share(flights: Flights) -> float | None:
-    """Share of all instants from which coasting stays clear of the hull; None where it was not looked at."""
-    if flights.instants is None or not flights.instants.sum():
-        return None
-    return float(flights.instants_safe.sum() / flights.instants.sum())
+def _share(some: Int[np.ndarray, "N"], of: Int[np.ndarray, "N"]) -> float | None:
+    return float(some.sum() / of.sum()) if of.sum() else None
 
 
 def speed_by_range(flights: Flights, edges: Sequence[float] = RANGES) -> list[dict[str, float]]:

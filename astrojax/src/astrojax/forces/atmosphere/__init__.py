@@ -1,7 +1,8 @@
 """How dense the air is: pure functions of a position and an epoch, for any drag model to call."""
 
 from astrojax.forces.atmosphere.exponential import density_exponential, density_layered
-from astrojax.forces.atmosphere.nrlmsise00 import ALL_ON, STORM_TIME, Atmosphere, density_nrlmsise00, nrlmsise00
+from astrojax.forces.atmosphere.models import NRLMSISE00, ExponentialAtmosphere, LayeredAtmosphere
+from astrojax.forces.atmosphere.nrlmsise00 import ALL_ON, STORM_TIME, Air, density_nrlmsise00, nrlmsise00
 from astrojax.forces.atmosphere.space_weather import (
     MONTHLY,
     OBSERVED,
@@ -17,11 +18,14 @@ from astrojax.forces.atmosphere.space_weather_files import load_space_weather, p
 __all__ = [
     "ALL_ON",
     "MONTHLY",
+    "NRLMSISE00",
     "OBSERVED",
     "OUTSIDE",
     "PREDICTED",
     "STORM_TIME",
-    "Atmosphere",
+    "Air",
+    "ExponentialAtmosphere",
+    "LayeredAtmosphere",
     "SpaceWeather",
     "SpaceWeatherTable",
     "constant_space_weather",

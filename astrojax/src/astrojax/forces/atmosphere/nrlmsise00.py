@@ -15,9 +15,10 @@ from astrojax._types import FloatScalar, Scalar, Vector3
 from astrojax.compilation import stored
 from astrojax.forces.atmosphere import expansions, species
 from astrojax.forces.atmosphere import tables as t
-from astrojax.forces.atmosphere.coordinates import geodetic, year_and_day
+from astrojax.forces.atmosphere.calendar import year_and_day
 from astrojax.forces.atmosphere.profile import NODES, descend, layer, planet, thermosphere
 from astrojax.forces.atmosphere.space_weather import SpaceWeather
+from astrojax.frames import position_ecef_to_geodetic
 from astrojax.time import normalize_epoch
 
 ALL_ON = (1.0,) * 23
@@ -31,7 +32,7 @@ _STILL = 300.0  # above it the lower thermosphere's temperatures are held at the
 _AMU = 1.66e-27  # the model's atomic mass unit [kg]
 
 
-class Atmosphere(NamedTuple):
+class Air(NamedTuple):
     """The air at one place and time.
 
     Attributes:
@@ -58,9 +59,9 @@ def nrlmsise00(
     day_of_year: Scalar,
     seconds: Scalar,
     weather: SpaceWeather,
-    switches: Real[ArrayLike, "23"] = ALL_ON,
+    switches: tuple | Real[ArrayLike, "23"] = ALL_ON,
     hour: FloatScalar | None = None,
-) -> Atmosphere:
+) -> Air:
     """Temperature, composition and density of the air.
 
     Args:
@@ -167,7 +168,7 @@ def _model(km, at, sine):
     hot = jnp.where(above, 1e6 * jnp.exp(log_hot), 0.0)
     masses = jnp.asarray(species.MASSES * _AMU, dtype)
     density = jnp.sum(masses * number)
-    return Atmosphere(
+    return Air(
         number=number,
         hot_oxygen=hot,
         density=density,
@@ -192,7 +193,7 @@ def density_nrlmsise00(
     day: Scalar,
     seconds: Scalar,
     weather: SpaceWeather,
-    switches: Real[ArrayLike, "23"] = ALL_ON,
+    switches: tuple | Real[ArrayLike, "23"] = ALL_ON,
 ) -> FloatScalar:
     """Atmospheric density that drag feels, hot oxygen included [kg/m^3].
 
@@ -206,7 +207,7 @@ def density_nrlmsise00(
     Validity: as `nrlmsise00`.
     """
     day, seconds = normalize_epoch(day, seconds)
-    latitude, longitude, height = geodetic(r)
+    latitude, longitude, height = position_ecef_to_geodetic(r)
     _, of_year = year_and_day(day)
     seconds = jnp.asarray(seconds, r.dtype)
     air = nrlmsise00(height, latitude, longitude, jnp.asarray(of_year, r.dtype), seconds, weather, switches)

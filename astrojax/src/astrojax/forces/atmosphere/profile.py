@@ -135,7 +135,7 @@ class Thermosphere(NamedTuple):
     base: FloatScalar
     shape: FloatScalar
     below: Layer
-    nodes: Float[Array, "N-1"]
+    nodes: Float[Array, "M"]
     slope: FloatScalar
 
 
@@ -145,7 +145,7 @@ def thermosphere(
     base: FloatScalar,
     shape: FloatScalar,
     heights: tuple,
-    nodes: Float[Array, "N-1"],
+    nodes: Float[Array, "M"],
     slope: FloatScalar,
 ) -> Thermosphere:
     """The profile.
@@ -153,7 +153,7 @@ def thermosphere(
     Args:
         exosphere, base, shape: as in `Thermosphere`.
         heights: nodes of the spline [km], from the join down.
-        nodes: (N - 1,) temperatures at the nodes below the join [K].
+        nodes: (M,) temperatures at the nodes below the join [K].
         slope: dT/dz at the lowest node, as `layer` takes it.
     """
     join = jnp.asarray(heights[0], base.dtype)

@@ -81,7 +81,7 @@ def space_weather(table: SpaceWeatherTable, day: Scalar, seconds: Scalar) -> Spa
     row = day.astype(jnp.int32) - jnp.asarray(table.first_day, jnp.int32)
     slot = row * _SLOTS + jnp.floor(seconds / 10800.0).astype(jnp.int32)
 
-    def taken(column: Array, index: Array) -> Array:
+    def taken(column: Int[ArrayLike, "..."], index: Array) -> Array:
         return jnp.asarray(column)[jnp.clip(index, 0, len(column) - 1)].astype(dtype)
 
     history = taken(jnp.reshape(jnp.asarray(table.ap), -1), slot - jnp.arange(20, dtype=jnp.int32))
