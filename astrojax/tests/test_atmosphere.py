@@ -184,8 +184,8 @@ def test_density_against_brahe(quick, x64):
     epochs = [brahe.Epoch.from_mjd(float(d), brahe.TimeSystem.UTC) + float(s) for d, s in zip(days, seconds)]
     expected = [brahe.density_nrlmsise00(epoch, x) for epoch, x in zip(epochs, r)]
     found = density(jnp.asarray(r), jnp.asarray(days), jnp.asarray(seconds))
-    # brahe keeps the epoch as one Julian date, to 2e-5 s: the density moves by that. The one point below 300 km is 3.5e-6
-    # off brahe, though not off the reference of double precision: why is not known.
+    # brahe keeps the epoch as one Julian date, to 2e-5 s: the density moves by that. The one point below 300 km is
+    # 3.5e-6 off brahe, though nowhere is the model off the reference of double precision: why is not known.
     high = np.linalg.norm(r, axis=1) > 6371e3 + 3e5
     assert np.sum(~high) == 1
     np.testing.assert_allclose(found[high], np.asarray(expected)[high], rtol=2e-9)

@@ -28,33 +28,27 @@ def main() -> None:
     options = parser.parse_args()
     config = evaluation_config()
     seeds, ports = trials(per_port=options.flights, seed=options.seed)
-    columns = (
-        "policy",
-        "flights",
-        "strict",
-        "collided",
-        "IDSS",
-        "far coasts clear",
-        "way out, near",
-        "all coasts clear",
-    )
-    table, figures = Table(*columns, "time s", "delta-v m/s"), {}
-    console = Console()
+    console, figures = Console(), {}
     for name in options.policies:
         with console.status(f"{name} flies {len(seeds)} times"):
             flights = fly_episodes(VectorPolicy(make_policy(name, config)), config, seeds, ports, slots=100)
             scores = score(add_coasts(flights, load_field()))
-        shares = {key: scores[key] for key in ("far_safe_share", "avoidable_share", "safe_share")}
-        counts = [scores["success"]["0.1 m full voided"], scores["collision"], scores["idss"]]
-        table.add_row(
-            name,
-            str(len(seeds)),
-            *(str(each["count"]) for each in counts),
-            *("-" if value is None else f"{100 * value:.1f} %" for value in shares.values()),
-            *("-" if scores[key] is None else f"{scores[key]:.1f}" for key in ("median_time", "median_delta_v")),
-        )
-        figures[name] = shares | {key: scores[key] for key in ("median_time", "median_delta_v", "least_clearance")}
-        figures[name] |= dict(zip(("strict", "collided", "idss"), (each["count"] for each in counts)))
+        figures[name] = {
+            "flights": len(seeds),
+            "strict": scores["success"]["0.1 m full voided"]["count"],
+            "collided": scores["collision"]["count"],
+            "IDSS contact": scores["idss"]["count"],
+            "far coasts clear": scores["far_safe_share"],
+            "way out, near": scores["avoidable_share"],
+            "all coasts clear": scores["safe_share"],
+            "median time s": scores["median_time"],
+            "median delta-v m/s": scores["median_delta_v"],
+            "least clearance m": scores["least_clearance"],
+        }
+    table = Table("", *options.policies)
+    for row in figures[options.policies[0]]:
+        values = (figures[name][row] for name in options.policies)
+        table.add_row(row, *("-" if value is None else f"{value:.4g}" for value in values))
     console.print(table)
     print(json.dumps(figures))
 
