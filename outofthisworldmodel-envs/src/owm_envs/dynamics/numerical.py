@@ -68,13 +68,13 @@ class NumericalOrbits:
     @property
     def _forces(self):
         """Made where it is used, inside a program: its numbers are constants there. The pole is that of J2000."""
-        selected = {
-            Zonal(self.zonal_degree): self.zonal_degree > 0,
-            ThirdBody("sun"): self.sun,
-            ThirdBody("moon"): self.moon,
-            Drag(HarrisPriester()): self.drag,
-        }
-        return ForceModel((PointMass(), *(force for force, acts in selected.items() if acts)))
+        optional = (
+            (Zonal(self.zonal_degree), self.zonal_degree > 0),
+            (ThirdBody("sun"), self.sun),
+            (ThirdBody("moon"), self.moon),
+            (Drag(HarrisPriester()), self.drag),
+        )
+        return ForceModel((PointMass(), *(force for force, acts in optional if acts)))
 
     def _frame(self, chief):
         # Sun, Moon and drag change the out-of-plane rate by less than 1e-9 rad/s (2e-7 m/s at 225 m); the central
