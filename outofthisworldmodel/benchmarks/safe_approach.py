@@ -1,22 +1,30 @@
-"""How safe scripted policies fly: coasts that clear the hull, ways out near it, contact at the standard's rates.
+"""How safe policies fly, and what it costs: coasts that clear the hull, ways out near it, contact rates.
 
-python benchmarks/safe_approach.py                                # 25 flights to each port, some ten minutes
+python benchmarks/safe_approach.py                                # 25 flights to each port, some 20 minutes
 python benchmarks/safe_approach.py --flights 3 --policies dock-safe
+python benchmarks/safe_approach.py --pictures docs/results/figures
 
-Every policy flies the same starts in `iss-numerical` with cooperative noise. The last line is all figures as JSON.
+Every policy flies the same starts in `iss-numerical` with cooperative noise; after a model stands how it is planned
+with. The last line is all figures as JSON.
 """
 
 import argparse
 import json
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from owm.scores.coasting import add_coasts
+from owm.catalogue.policies import load_policy
+from owm.report.safety import coast_figure, front_figure
+from owm.scores.coasting import add_coasts, coasts_of
 from owm.scores.docking import evaluation_config, fly_episodes, trials
 from owm.scores.flights import score
+from owm.study.matrix import planner_of
 from owm_envs.field import load_field
-from owm_envs.policies import VectorPolicy, make_policy
+from owm_envs.figures import save_figure
+
+POLICIES = ("dock-geodesic", "ekf-mpc", "pretrained, geodesic", "pretrained, safe", "dock-safe")
 
 
 def main() -> None:
@@ -24,15 +32,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=25, help="to each port")
     parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--policies", nargs="+", default=["dock-geodesic", "dock-safe"])
+    parser.add_argument("--policies", nargs="+", default=POLICIES)
+    parser.add_argument("--pictures", type=Path, help="folder to draw into")
     options = parser.parse_args()
-    config = evaluation_config()
+    config, field = evaluation_config(), load_field()
     seeds, ports = trials(per_port=options.flights, seed=options.seed)
-    console, figures = Console(), {}
+    console, figures, coasts = Console(), {}, {}
     for name in options.policies:
+        source, _, planner = name.partition(", ")
+        slots = min(100, len(seeds))
         with console.status(f"{name} flies {len(seeds)} times"):
-            flights = fly_episodes(VectorPolicy(make_policy(name, config)), config, seeds, ports, slots=100)
-            scores = score(add_coasts(flights, load_field()))
+            policy = load_policy(source, config, slots, planner=planner_of(planner or "geodesic"), field=field)
+            flights = fly_episodes(policy, config, seeds, ports, slots=slots)
+            coasts[name] = coasts_of(flights, field)
+            scores = score(add_coasts(flights, field))
         figures[name] = {
             "flights": len(seeds),
             "strict": scores["success"]["0.1 m full voided"]["count"],
@@ -50,6 +63,18 @@ def main() -> None:
         values = (figures[name][row] for name in options.policies)
         table.add_row(row, *("-" if value is None else f"{value:.4g}" for value in values))
     console.print(table)
+    if options.pictures:
+        rows = {
+            name: {
+                "far": row["far coasts clear"],
+                "contact": row["IDSS contact"] / row["flights"],
+                "time": row["median time s"],
+                "delta_v": row["median delta-v m/s"],
+            }
+            for name, row in figures.items()
+        }
+        save_figure(front_figure(rows), options.pictures / "safety_front.png", dpi=100)
+        save_figure(coast_figure(coasts), options.pictures / "safety_coasts.png", dpi=100)
     print(json.dumps(figures))
 
 

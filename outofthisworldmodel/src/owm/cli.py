@@ -27,6 +27,7 @@ def fly(
     out: Path | None = None,
     video: Path | None = None,
     camera: str = "chaser_fpv",
+    planner: str = "safe",
 ) -> None:
     """Fly a policy to a docking port and print how it went.
 
@@ -44,13 +45,15 @@ def fly(
         out: Folder for CSV, JSON and picture; by default one of these flights' own below runs/fly.
         video: Film the first flight into this file, .mp4, ten times as fast as it was.
         camera: Of the film: chaser_fpv, chaser_isometric, chaser_top, station_isometric, station_top or station_fpv.
+        planner: How a model is flown: safe (drifts clear of the hull, contact as the docking standard asks) or
+            geodesic (faster).
     """
     checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import fly as run
 
-    simulation = {"shell": shell, "noise": noise, "fidelity": env}
-    run(policy, port, flights=flights, seed=seed, **simulation, out=out, plot=plot, video=video, camera=camera)
+    asked = {"shell": shell, "noise": noise, "fidelity": env, "planner": planner}
+    run(policy, port, flights=flights, seed=seed, **asked, out=out, plot=plot, video=video, camera=camera)
 
 
 def evaluate_docking(
@@ -64,6 +67,7 @@ def evaluate_docking(
     out: Path = Path("runs/evaluate"),
     fresh: bool = False,
     processes: int = 1,
+    planner: str = "geodesic",
 ) -> None:
     """Score policies by the evaluation protocol: identical starts, fourteen definitions of success.
 
@@ -78,6 +82,7 @@ def evaluate_docking(
         out: Folder for flights, report and pictures; a killed run goes on where it was.
         fresh: Replace what OUT holds of other settings, and flights that are not asked for.
         processes: That fly, as for `owm evaluate matrix`.
+        planner: How models are flown: geodesic, safe, plain or straight.
     """
     checked_seed(seed)
     _compilation_cache()
@@ -85,7 +90,7 @@ def evaluate_docking(
 
     resumable()
     scored = {"flights": flights, "ports": ports, "seed": seed, "shell": shell, "noise": noise}
-    run(policies, **scored, slots=slots, out=out, fresh=fresh, processes=processes)
+    run(policies, **scored, slots=slots, out=out, fresh=fresh, processes=processes, planner=planner)
 
 
 def evaluate_matrix(

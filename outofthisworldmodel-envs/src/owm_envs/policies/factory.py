@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from astrojax.constants import GM_EARTH
 from owm_envs.env import docking_env
 from owm_envs.episode import POLICY_NAMES
-from owm_envs.field.drift import drift_matrices
 from owm_envs.policies.base import ScriptedPolicy, Vehicle
 from owm_envs.policies.geodesic import DockGeodesicIntegralPolicy, DockGeodesicPolicy, prepared
-from owm_envs.policies.safe import DRIFT_TIMES, DockSafePolicy
+from owm_envs.policies.guidance import drift_beside
+from owm_envs.policies.safe import DockSafePolicy
 from owm_envs.policies.scripted import DockPolicy, ExcitePolicy, OrbitPolicy, RandomPolicy
 from owm_envs.words import unknown
 
@@ -44,7 +44,7 @@ def make_policy(name: str, env: Any, *, geodesic_field: Any = None) -> ScriptedP
     if name == "dock-safe":
         geodesic_field, rows = prepared(geodesic_field)
         mean_motion = (GM_EARTH / env.config.chief.semi_major_axis**3) ** 0.5
-        drift = jnp.asarray(drift_matrices(mean_motion, DRIFT_TIMES))
+        drift = jnp.asarray(drift_beside(mean_motion))
         return DockSafePolicy(vehicle, geodesic_field, rows, drift, layout=layout)
     kinds = {kind.name: kind for kind in (DockGeodesicPolicy, DockGeodesicIntegralPolicy)}
     return kinds[name](vehicle, *prepared(geodesic_field), layout=layout)

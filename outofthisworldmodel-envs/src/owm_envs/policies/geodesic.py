@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
-from owm_envs.field import GeodesicField, clearance, cost_to_go, field_rows, load_field
+from owm_envs.field import GeodesicField, field_rows, load_field
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of, limit_norm, read_view
+from owm_envs.policies.guidance import field_speed
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout
 from owm_envs.view import View
@@ -106,29 +107,11 @@ class DockGeodesicIntegralPolicy:
         return self.layout.action(command), following
 
 
-def field_speed(
-    geodesic_field: GeodesicField, rows: Int[Array, "8"], port: Int[Array, ""], position: Float[Array, "3"]
-) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, ""]]:
-    """How fast to go, m/s, the direction in which the way to the port grows, and the clearance of the hull, m.
-
-    The speed is NaN for a port that the field lacks.
-    """
-    dtype = position.dtype
-    row = jnp.asarray(rows)[port]
-    cost, gradient = cost_to_go(geodesic_field, jnp.maximum(row, 0), position)
-    cost = jnp.where(row < 0, jnp.nan, cost)
-    gap = clearance(geodesic_field, position)
-    cost, gradient, gap = (jnp.asarray(x, dtype) for x in (cost, gradient, gap))
-    speed = jnp.minimum(4.0, jnp.sqrt(0.08 * jnp.maximum(cost, 1e-9)))
-    speed = jnp.minimum(speed, jnp.minimum(cost / 4.0, 0.4 + jnp.sqrt(0.08 * jnp.maximum(gap, 1e-9))))
-    return speed, gradient, gap
-
-
 def _track(
     geodesic_field: GeodesicField, rows: Int[Array, "8"], port: Int[Array, ""], view: View
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """The accelerations that lead to the field's velocity and towards the port's attitude: station, body axes."""
-    speed, gradient, _ = field_speed(geodesic_field, rows, port, view.position)
+    speed, gradient, _ = field_speed(geodesic_field, jnp.asarray(rows)[port], view.position)
     wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
     return (wanted - view.velocity) / 2.0, turn_towards(port, view)
 

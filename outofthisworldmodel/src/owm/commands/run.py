@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from owm.baselines.ppo.config import PPOConfig
-from owm.catalogue.policies import content_digest, kind_of, load_policy
+from owm.catalogue.policies import content_digest, is_planned, kind_of, load_policy
 from owm.console import announce, bar, console, flying
 from owm.data.recordings import corpus_facts, training_episodes
 from owm.data.windows import Episodes
@@ -26,7 +26,7 @@ from owm.scores.docking import check_identical_starts, evaluation_config, fly_ep
 from owm.scores.flights import Flights, write_results
 from owm.scores.prediction import PredictionError, prediction_error
 from owm.study.conditions import CONDITIONS, Condition
-from owm.study.matrix import Matrix, Study, read_matrix, twice
+from owm.study.matrix import Matrix, Study, planner_of, read_matrix, twice
 from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
@@ -118,6 +118,7 @@ def fly(
     plot: bool = False,
     video: Path | None = None,
     camera: str = "chaser_fpv",
+    planner: str = "safe",
 ) -> Flights:
     """Fly a policy to one port, print a table, and write CSV, JSON, a recording and, if asked, a picture.
 
@@ -135,13 +136,15 @@ def fly(
         plot: draw the trajectories.
         video: film the first flight into this file, .mp4.
         camera: name of the film's camera.
+        planner: a key of `PLANNERS`, for policies that plan with a model.
 
     Raises:
-        ValueError, FileNotFoundError: an unknown policy, port, shell, noise preset, fidelity or camera.
+        ValueError, FileNotFoundError: an unknown policy, planner, port, shell, noise preset, fidelity or camera.
         ImportError: a film is asked for without PyAV.
         FolderTaken: `out` holds other flights or something else.
     """
-    kind_of(policy)
+    planned = is_planned(kind_of(policy))
+    variant = planner_of(planner)
     if video is not None:
         from owm_envs.film import film_camera
 
@@ -150,6 +153,8 @@ def fly(
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
     asked["environment"] = config.model_dump(mode="json")
+    if planned:
+        asked["planner"] = variant.model_dump(mode="json")
     with Claim(out or Path("runs/fly") / f"{slug(policy)}_{port}_{digest(asked)[:8]}", asked) as claim:
         kept = claim.folder / "flights.npz"
         if claim.holds(kept.name, "episodes"):
@@ -162,7 +167,7 @@ def fly(
                     claim.note()  # before anything lies in the folder
                     writer.write(flights)
 
-                flown = fly_named(policy, config, seeds, ports, seed=seed, keep=keep)
+                flown = fly_named(policy, config, seeds, ports, seed=seed, planner=variant, keep=keep)
             flown.save(kept)
             claim.seal(kept.name, "episodes")
         files = write_results({flown.policy: flown}, claim.folder)
@@ -241,6 +246,7 @@ def evaluate_docking(
     out: Path = Path("runs/evaluate"),
     fresh: bool = False,
     processes: int = 1,
+    planner: str = "geodesic",
 ) -> list[Flights]:
     """Score policies on identical starts; print tables, write a report, CSV, JSON and pictures.
 
@@ -255,6 +261,7 @@ def evaluate_docking(
         out: folder for the files.
         fresh: replace what `out` holds of other settings.
         processes: that fly, as for `evaluate_matrix`.
+        planner: a key of `PLANNERS`, for policies that plan with a model.
 
     Raises:
         ValueError, FileNotFoundError: an unknown policy, port, shell or noise preset.
@@ -267,7 +274,10 @@ def evaluate_docking(
     out = output_folder(out)
     short = ["/".join(Path(policy).parts[-2:]) for policy in policies]
     labels = policies if twice(slug(name).casefold() for name in short) else short
-    study = Study(title="Docking", policies=tuple(labels), figures=True, trajectories=tuple(labels))
+    planner_of(planner)
+    study = Study(
+        title="Docking", policies=tuple(labels), planners=(planner,), figures=True, trajectories=tuple(labels)
+    )
     if len(policies) > 1:
         study = study.model_copy(update={"against": (labels[-1],)})
     matrix = Matrix(
@@ -275,7 +285,8 @@ def evaluate_docking(
     )
     conditions = {"nominal": Condition(f"{noise} noise, starts {shell} m out", shell, noise)}
     command = f"owm evaluate docking {' '.join(policies)} --flights {flights} --seed {seed} --shell {shell}"
-    command += f" --noise {noise}" + (f" --ports {' '.join(ports)}" if ports else "")
+    command += f" --noise {noise}" + ("" if planner == "geodesic" else f" --planner {planner}")
+    command += f" --ports {' '.join(ports)}" if ports else ""
     files, flown = _run_and_report(
         matrix, out, command, conditions=conditions, slots=slots, fresh=fresh, processes=processes
     )

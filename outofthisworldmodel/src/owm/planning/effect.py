@@ -20,7 +20,7 @@ class Effect(NamedTuple):
     action: Float[Array, "6"]
     change: Float[Array, "6"]
     slope: Float[Array, "6 6"]
-    elapsed: float
+    elapsed: Float[Array, ""]
 
 
 def effect_of(
@@ -41,7 +41,18 @@ def effect_of(
     spread = (changes - mean_change) / scale
     ridge = 1e-6 * len(actions) * jnp.eye(6, dtype=changes.dtype)
     slope = jnp.linalg.solve(spread.T @ spread + ridge, spread.T @ (action - mean_action))
-    return Effect(mean_action, mean_change, slope / scale[:, None], elapsed)
+    return Effect(mean_action, mean_change, slope / scale[:, None], jnp.asarray(elapsed, changes.dtype))
+
+
+def no_effect(dtype: str = "float32") -> Effect:
+    """Nothing found out yet."""
+    zero = jnp.zeros(6, dtype)
+    return Effect(zero, zero, jnp.zeros((6, 6), dtype), jnp.ones((), dtype))
+
+
+def wrench_for(effect: Effect, change: Float[Array, "*T 6"]) -> Float[Array, "*T 6"]:
+    """Return the wrench, in fractions of the limits, that changes velocity and rate so over `elapsed`."""
+    return effect.action + (change - effect.change) @ effect.slope
 
 
 def coasting_wrench(effect: Effect) -> Float[Array, "6"]:
@@ -50,7 +61,7 @@ def coasting_wrench(effect: Effect) -> Float[Array, "6"]:
     In free space it is zero; under a steady acceleration, known to the model or found by the corrector, it is what
     cancels it. A warm start continued by zeros instead settles some 0.1 m off the goal for each 0.01 m/s2.
     """
-    wrench = effect.action - effect.change @ effect.slope
+    wrench = wrench_for(effect, jnp.zeros_like(effect.change))
     # A model that heeds no action has no such wrench.
     return jnp.clip(jnp.where(jnp.all(jnp.isfinite(wrench)), wrench, 0), -1, 1)
 

@@ -17,14 +17,19 @@ from jaxtyping import Array, Bool, Float, Key, PyTree
 from owm.interface import History, WorldModel, roll_out
 from owm.planning import corrector
 from owm.planning.config import Shape, Tuning
-from owm.planning.cost import Goal, sequence_cost
-from owm.planning.effect import authority, coasting_wrench, effect_of
+from owm.planning.cost import sequence_cost
+from owm.planning.effect import Effect, authority, coasting_wrench, effect_of, no_effect, wrench_for
+from owm.planning.reference import safe_reference
 from owm.planning.sampler import sample_candidates
 from owm.planning.update import average, candidate_weights, shifted
 from owm_envs.field import clearance
 from owm_envs.flags import own_promotion
+from owm_envs.policies.guidance import Goal
 from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
+
+_SHARE = 0.9
+"""Of what the thrusters can do: what the safe approach is to ask of them."""
 
 
 class Problem(NamedTuple):
@@ -51,6 +56,8 @@ class PlannerState(NamedTuple):
     started: Bool[Array, ""]
     """Whether `expected` means anything: not before the first replan nor after a prediction gone astray."""
     corrector: corrector.Corrector
+    effect: Effect
+    """What actions do, as the last replan found."""
 
 
 def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
@@ -60,6 +67,7 @@ def init_planner(shape: Shape, dtype: str = "float32") -> PlannerState:
         expected=jnp.zeros(VIEW_SIZE, dtype),
         started=jnp.zeros((), bool),
         corrector=corrector.init_corrector(dtype),
+        effect=no_effect(dtype),
     )
 
 
@@ -98,7 +106,13 @@ def plan(
     position = View.of(measured).position
     distance = jnp.sqrt(jnp.sum((position - goal.pose[:3]) ** 2))
     nearness = jnp.minimum(1, tuning.sigma_near + (1 - tuning.sigma_near) * distance / tuning.sigma_distance)
-    candidates = sample_candidates(shape, nearness * tuning.sigma, state.plan, key=key)
+    plan, reference = state.plan, jnp.zeros((shape.horizon, 6), dtype)
+    if shape.objective == "safe":
+        able = _SHARE * authority(state.effect)
+        path = safe_reference(goal, measured, shape.latency + shape.horizon, model.dt, able)[shape.latency :]
+        reference = path[1:]
+        plan = jnp.where(state.started, _along(path, state, model.dt), plan)
+    candidates = sample_candidates(shape, nearness * tuning.sigma, plan, key=key)
 
     # The rollout is vmapped whole, not its step: what no action moves (the context, the station) is computed
     # once.
@@ -113,16 +127,29 @@ def plan(
     effect = effect_of(candidates[:, 1:few], views[:, 0], views[:, few - 1], (few - 1) * model.dt)
     clear = clearance(goal.field, position) >= 0
     cost = partial(sequence_cost, shape.objective, tuning.weights, goal, clear=clear, deceleration=authority(effect))
-    weights = candidate_weights(jax.vmap(cost)(views, candidates), tuning.temperature)
+    costs = jax.vmap(lambda *candidate: cost(*candidate, reference=reference))(views, candidates)
+    weights = candidate_weights(costs, tuning.temperature)
     best = average(weights, candidates)
     # What the model expects of the executed wrenches: over one chunk the views are linear in the actions to
     # well below the sensors' noise, so they may be averaged like them, which saves another rollout and its
     # compilation.
     expected = jnp.einsum("k,ki->i", weights, views[:, shape.chunk - shape.latency - 1])
     following = shifted(best, shape.chunk, coasting_wrench(effect))
-    return best[: shape.chunk] * tuning.limit, PlannerState(
-        following, expected, jnp.all(jnp.isfinite(expected)), learned
-    )
+    following = PlannerState(following, expected, jnp.all(jnp.isfinite(expected)), learned, effect)
+    return best[: shape.chunk] * tuning.limit, following
+
+
+def _along(path: Float[Array, "T+1 6"], state: PlannerState, dt: float) -> Float[Array, "T 6"]:
+    """The warm start with those forces that, by what actions do, lead along a path.
+
+    Averaging candidates alone follows a reference late, or with all their noise.
+    """
+    effect = state.effect
+    change = jnp.diff(path[:, 3:], axis=0) * (effect.elapsed / dt)
+    change = jnp.concatenate([change, jnp.broadcast_to(effect.change[3:], change.shape)], axis=1)
+    force = jnp.clip(wrench_for(effect, change)[:, :3], -1, 1)
+    plan = jnp.concatenate([force, state.plan[:, 3:]], axis=1)
+    return jnp.where(jnp.all(jnp.isfinite(plan)), plan, state.plan)
 
 
 def _corrected(

@@ -12,15 +12,16 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
+from astrojax.constants import GM_EARTH
 from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
-from owm.planning.cost import Goal
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv, docking_env
 from owm_envs.field import GeodesicField, field_rows
 from owm_envs.flags import own_flags
 from owm_envs.policies import SlotPolicy, Slots
+from owm_envs.policies.guidance import Goal, drift_beside
 from owm_envs.station import PORT_NAMES, goal_poses
 from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
@@ -122,6 +123,9 @@ class PlannerPolicy(SlotPolicy):
         self._rows = field_rows(field)
         self._parts = _model_parts(model, env)
         self._field = jax.device_put(field)
+        self._drift = None
+        if self.config.objective == "safe":
+            self._drift = drift_beside((GM_EARTH / env.config.chief.semi_major_axis**3) ** 0.5)
 
     def __repr__(self) -> str:
         return f"PlannerPolicy({self.name!r}, num_slots={self.num_slots}, {self.config!r})"
@@ -217,7 +221,7 @@ class PlannerPolicy(SlotPolicy):
                 params = self.model.params
                 if self._learner is not None:
                     params = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
-                goal = Goal(self._field, np.int32(self._rows[port[slot]]), self._goals[port[slot]])
+                goal = Goal(self._field, np.int32(self._rows[port[slot]]), self._goals[port[slot]], self._drift)
                 output = replan(
                     self.model,
                     self.config.shape,

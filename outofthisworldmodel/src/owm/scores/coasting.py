@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,8 +31,31 @@ IMPULSES = (0.5, 1.0)
 """m/s: sizes of an avoidance impulse."""
 
 
-def add_coasts(flights: Flights, field: GeodesicField, semi_major_axis: float = 6_795_000.0) -> Flights:
-    """Add to flights with trajectories how many of their instants are passively safe, and how many can be made so.
+class Coasts(NamedTuple):
+    """What would come of flights whose thrusters stop, an instant a row.
+
+    Attributes:
+        when: which instants of the flights, every `EVERY` seconds, these are.
+        states: true position m and velocity m/s, station frame.
+        gap: clearance of the hull, m.
+        clear: a coast of `COAST` seconds clears the hull.
+        avoidable: it does after a small impulse, see `impulse_clears`; only asked no farther than `FAR`.
+    """
+
+    when: Bool[np.ndarray, "N T"]
+    states: Float[np.ndarray, "M 6"]
+    gap: Float[np.ndarray, "M"]
+    clear: Bool[np.ndarray, "M"]
+    avoidable: Bool[np.ndarray, "M"]
+
+    @property
+    def far(self) -> Bool[np.ndarray, "M"]:
+        """Beyond `FAR`."""
+        return self.gap > FAR
+
+
+def coasts_of(flights: Flights, field: GeodesicField, semi_major_axis: float = 6_795_000.0) -> Coasts:
+    """Let go of flights every other second.
 
     Approximated, to the safe side but for the first: motion is Hill-Clohessy-Wiltshire about a circular orbit (after
     360 s 0.1 m, at most 0.5 m, from `iss-numerical`); clearance is looked up between the field's nodes, less `MARGIN`;
@@ -50,26 +74,34 @@ def add_coasts(flights: Flights, field: GeodesicField, semi_major_axis: float = 
         raise ValueError("these flights were recorded without trajectories")
     stride = max(1, round(EVERY / flights.decision_dt))
     # The last state is where the flight ended: nothing is planned from it.
-    instants = np.isfinite(flights.trajectory[:, 1:, 0])[:, ::stride]
-    states = flights.trajectory[:, :-1:stride, :6][instants].astype(np.float32)
+    when = np.isfinite(flights.trajectory[:, 1:, 0])[:, ::stride]
+    states = flights.trajectory[:, :-1:stride, :6][when].astype(np.float32)
     n = math.sqrt(GM_EARTH / semi_major_axis**3)
-    clear = coasts_clear(field, states, n)
-    far = np.asarray(_gaps(field, states[:, :3])) > FAR
-    avoidable = np.zeros(len(states), bool)
-    avoidable[~far] = impulse_clears(field, states[~far], n)
+    gap = np.asarray(_gaps(field, states[:, :3]))
+    near, avoidable = gap <= FAR, np.zeros(len(states), bool)
+    avoidable[near] = impulse_clears(field, states[near], n)
+    return Coasts(when, states, gap, coasts_clear(field, states, n), avoidable)
+
+
+def add_coasts(flights: Flights, field: GeodesicField, semi_major_axis: float = 6_795_000.0) -> Flights:
+    """Add to flights with trajectories how many of their instants are passively safe, and how many can be made so.
+
+    Arguments and errors as of `coasts_of`.
+    """
+    coasts = coasts_of(flights, field, semi_major_axis)
 
     def counted(which: Bool[np.ndarray, "M"]) -> Int[np.ndarray, "N"]:
-        marks = np.zeros(instants.shape, bool)
-        marks[instants] = which
+        marks = np.zeros(coasts.when.shape, bool)
+        marks[coasts.when] = which
         return marks.sum(axis=1)
 
     return replace(
         flights,
-        instants=instants.sum(axis=1),
-        instants_safe=counted(clear),
-        instants_far=counted(far),
-        instants_far_safe=counted(far & clear),
-        instants_avoidable=counted(avoidable),
+        instants=coasts.when.sum(axis=1),
+        instants_safe=counted(coasts.clear),
+        instants_far=counted(coasts.far),
+        instants_far_safe=counted(coasts.far & coasts.clear),
+        instants_avoidable=counted(coasts.avoidable),
     )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from owm.catalogue.policies import is_planned, kind_of
+from owm.planning.config import PlannerConfig
 from owm_envs.config.parts import Frozen
 from owm_envs.files import read_text, slug
 from owm_envs.station import PORT_NAMES, port_index
@@ -21,10 +22,22 @@ PLANNERS: dict[str, dict[str, Any]] = {
     "plain": {"objective": "plain"},
     "plain, no corrector": {"objective": "plain", "corrector": False},
     "straight": {"objective": "straight"},
+    "safe": {"objective": "safe"},
     "0.25 s late": {"latency": 1},
     "0.5 s late": {"latency": 2},
 }
 """Variants of the planner: what differs from the standard `PlannerConfig`."""
+
+
+def planner_of(name: str) -> PlannerConfig:
+    """A variant of the planner.
+
+    Raises:
+        ValueError: there is none of this name, naming the nearest.
+    """
+    if name not in PLANNERS:
+        raise ValueError(unknown("planner variant", name, PLANNERS))
+    return PlannerConfig(**PLANNERS[name])
 
 
 Count = Annotated[int, Field(ge=1, le=10**6)]
@@ -61,8 +74,7 @@ class Study(Frozen):
     @classmethod
     def _known(cls, value):
         for name in value:
-            if name not in PLANNERS:
-                raise ValueError(unknown("planner variant", name, PLANNERS))
+            planner_of(name)
         return value
 
 

@@ -220,6 +220,8 @@ def given_of(matrix: Matrix, key: Key) -> Given:
         given = given._replace(motion=f"{given.motion} ({config.get('stream')} stream, {config.get('backbone')})")
     if "plain" in planner or "straight" in planner:
         given = given._replace(hull="clearance only, no field")
+    if planner == "safe":
+        given = given._replace(motion=f"{given.motion}; drifts by Clohessy and Wiltshire's")
     if "no corrector" in planner:
         given = given._replace(feedback="no")
     return given

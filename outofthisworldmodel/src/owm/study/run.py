@@ -13,13 +13,12 @@ import numpy as np
 
 from owm import __version__
 from owm.catalogue.policies import OWN, content_digest, kind_of, load_model, load_policy
-from owm.planning.config import PlannerConfig
 from owm.scores.coasting import add_coasts
 from owm.scores.docking import fly_episodes, trials
 from owm.scores.flights import Flights, join
 from owm.stages import source_digest
 from owm.study.conditions import CONDITIONS, Condition
-from owm.study.matrix import PLANNERS, Matrix, Row, row_name, rows_of
+from owm.study.matrix import Matrix, Row, planner_of, row_name, rows_of
 from owm.study.workers import fly_side_by_side, missing_flights, spell
 from owm_envs.claims import Claim
 from owm_envs.files import FolderTaken, output_folder, remove
@@ -205,7 +204,7 @@ class Store:
         began, row, matrix = time.perf_counter(), self.row, self.matrix
         slots = min(slots, row.flights)
         if self.policy is None:
-            planner = PlannerConfig(**PLANNERS[row.planner]) if row.planner else None
+            planner = planner_of(row.planner) if row.planner else None
             chart = _field(self.condition.map)
             self.policy = load_policy(row.source, self.condition.told(), slots, matrix.seed, planner, chart)
         if isinstance(self.policy, SlotPolicy):
@@ -237,7 +236,7 @@ class Store:
         boxes = self.condition.map_boxes()
         return {
             "policy": content_digest(self.row.source),
-            "planner": PlannerConfig(**PLANNERS[self.row.planner]).model_dump() if self.row.planner else None,
+            "planner": planner_of(self.row.planner).model_dump() if self.row.planner else None,
             "told": self.condition.told().model_dump(mode="json"),
             "environment": self.condition.flown().model_dump(mode="json"),
             "map": "true" if boxes is None else sha256(np.ascontiguousarray(boxes).tobytes()).hexdigest()[:16],
