@@ -130,3 +130,13 @@ def quick_fields(optimised):
                 if hasattr(module, name):
                     patch.setattr(module, name, made)
         yield
+
+
+@pytest.fixture(scope="module")
+def quick_drifts(optimised):
+    """Policies that look at thousands of free drifts act by optimised code, whatever the tests' flags."""
+    from owm_envs.policies import vector
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vector, "_advance", optimised(vector._advance.__wrapped__))
+        yield

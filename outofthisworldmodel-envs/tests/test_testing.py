@@ -217,6 +217,8 @@ def test_what_is_wrong_with_a_policy_is_one_line(policy, message):
 
 
 @pytest.mark.parametrize("name", [*(name for name in POLICY_NAMES if "geodesic" not in name), "drifts"])
-def test_our_own_policies_pass(name):
+def test_our_own_policies_pass(name, request):
+    if name == "dock-safe":
+        request.getfixturevalue("quick_drifts")
     env = gymnasium.make("ISS-v0", noise="cooperative")
     check_policy(Drifts() if name == "drifts" else VectorPolicy(make_policy(name, env)), env)

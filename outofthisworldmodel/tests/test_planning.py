@@ -12,6 +12,7 @@ from owm.interface import roll_out
 from owm.planning import corrector, cost, effect, mppi, sampler, update
 from owm.planning.config import PlannerConfig
 from owm.planning.policy import replan_slot
+from owm_envs.policies.guidance import Goal, drift_beside
 from owm_envs.view import View
 
 CONFIG = PlannerConfig()
@@ -42,14 +43,22 @@ step_cost = jax.jit(cost.step_cost, static_argnums=0)
 sequence_cost = jax.jit(cost.sequence_cost, static_argnums=0)
 
 
+REST = np.concatenate([GOAL[:3], np.zeros(3)]).astype(np.float32)
+"""A reference that stands at the goal."""
+
+
 def goal():
-    return cost.Goal(small_field(), np.int32(0), GOAL)
+    return Goal(small_field(), np.int32(0), GOAL, drift_beside(1.13e-3))
+
+
+def rests(steps):
+    return np.tile(REST, (steps, 1))
 
 
 def _cost(offset, velocity=(0, 0, 0), kind="geodesic"):
     view = view_at(offset)
     View.of(view).velocity[:] = velocity
-    charged, gap = step_cost(kind, TUNING.weights, goal(), view, np.zeros(6, np.float32))
+    charged, gap = step_cost(kind, TUNING.weights, goal(), view, np.zeros(6, np.float32), REST)
     return float(charged), float(gap)
 
 
@@ -68,12 +77,14 @@ PINNED = {
     "geodesic": ([42.66195, 46.253338, 52.17837, 264.06995], [1285.2734, 101.290894, 47.03122]),
     "straight": ([42.054646, 48.625465, 52.178368, 173.04425], [1285.7146, 78.97568, 47.6195]),
     "plain": ([332.0245, 403.5985, 411.7334, 628.05404], [1536.8391, 443.8526, 382.45215]),
+    "safe": ([543.25665, 651.00616, 651.99316, 945.45404], [1711.564, 697.9275, 615.4187]),
 }
 """Costs of `some_steps` one by one, and together: from clear space, from within the hull, without the last."""
 PINNED_PLANS = {
     ("geodesic", 0): [[-549.8662, 159.84917, 284.2796, -132.95317], [-625.6113, 137.06006, 351.5509, -129.14856]],
     ("straight", 0): [[-549.8651, 159.84859, 284.2789, -132.95335], [-625.6102, 137.05969, 351.55014, -129.14879]],
     ("plain", 1): [[-407.90234, 137.68942, 639.4648, -55.189304], [-478.32236, 138.16388, 783.6223, -45.816246]],
+    ("safe", 1): [[-1442.5311, 687.5239, 1374.1567, -235.8373], [-1470.0311, 665.8823, 1352.8447, -236.9025]],
 }
 """First wrenches of a second replan, which has a warm start and a correction."""
 
@@ -83,10 +94,10 @@ def test_costs_keep_their_numbers(kind):
     views, efforts = some_steps()
     steps, sequences = PINNED[kind]
     given = partial(step_cost, kind, TUNING.weights, goal())
-    np.testing.assert_allclose([given(*step)[0] for step in zip(views, efforts)], steps, rtol=2e-6)
+    np.testing.assert_allclose([given(*step, REST)[0] for step in zip(views, efforts)], steps, rtol=2e-6)
     given = partial(sequence_cost, kind, TUNING.weights, goal(), deceleration=np.float32(0.06))
-    found = [given(views, efforts, clear=clear) for clear in (True, False)]
-    found.append(given(views[:3], efforts[:3], clear=True))
+    found = [given(views, efforts, clear=clear, reference=rests(4)) for clear in (True, False)]
+    found.append(given(views[:3], efforts[:3], clear=True, reference=rests(3)))
     np.testing.assert_allclose(found, sequences, rtol=2e-6)
 
 
@@ -112,12 +123,13 @@ def test_every_term_has_a_weight_and_is_charged_by_it(kind):
     view, efforts = some_steps()[0][0], np.full(6, 0.5, np.float32)
     View.of(view).position[:] = View.of(view_at((21.5, 0, 0))).position  # so near the box that the margin counts
     weights = TUNING.weights
-    whole, gap = step_cost(kind, weights, goal(), view, efforts)
+    whole, gap = step_cost(kind, weights, goal(), view, efforts, REST)
     assert gap < weights.margin
     names = [term.name for group in cost.OBJECTIVES[kind] for term in group]
-    assert sorted(names) == ["attitude", "clearance", "effort", "position", "rate", "velocity"]
+    moving = ["tracking_position", "tracking_velocity"] if kind == "safe" else ["position", "velocity"]
+    assert sorted(names) == sorted(["attitude", "clearance", "effort", "rate", *moving])
     shares = [
-        float(whole - step_cost(kind, weights._replace(**{name: np.float32(0)}), goal(), view, efforts)[0])
+        float(whole - step_cost(kind, weights._replace(**{name: np.float32(0)}), goal(), view, efforts, REST)[0])
         for name in names
     ]
     assert min(shares) > 0
@@ -143,7 +155,8 @@ def test_touching_costs_more_the_earlier_and_ends_the_candidate():
 
     def charged(views, starts_clear=True):
         given = (TUNING.weights, goal(), np.stack(views), np.zeros((4, 6), np.float32))
-        return float(sequence_cost("geodesic", *given, clear=starts_clear, deceleration=np.float32(np.inf)))
+        able = {"clear": starts_clear, "deceleration": np.float32(np.inf)}
+        return float(sequence_cost("geodesic", *given, **able, reference=rests(4)))
 
     early, late, never = charged([inside] * 4), charged([clear] * 3 + [inside]), charged([clear] * 4)
     assert early == pytest.approx(2000.0)  # 1000 (1 + whole horizon), nothing else is counted
@@ -183,18 +196,44 @@ def test_corrector_leaves_noise_alone_and_finds_what_stands_out_of_it():
     np.testing.assert_allclose(loud.acceleration[20:].mean(axis=0), [0.06, -0.03, 0], atol=6e-3)
 
 
-@pytest.mark.parametrize("kind", cost.OBJECTIVES)
+@pytest.mark.parametrize("kind", ["geodesic", "straight", "plain"])
 def test_a_speed_that_cannot_be_braked_is_charged(kind):
     def charged(speed, able):
         view = view_at((0, -12, 0))
         view[4] = speed
         given = (TUNING.weights, goal(), view[None], np.zeros((1, 6), np.float32))
-        return float(sequence_cost(kind, *given, clear=True, deceleration=np.float32(able)))
+        able = {"clear": True, "deceleration": np.float32(able)}
+        return float(sequence_cost(kind, *given, **able, reference=rests(1)))
 
     # Over 12 m: 2.19 and 1.2 m/s.
     braked, unbraked = (charged(2.0, able) - charged(2.0, np.inf) for able in (0.2, 0.06))
     assert braked == 0.0
     assert unbraked == (0.0 if kind == "plain" else pytest.approx(10.0 * (2.0 - (2 * 0.06 * 12) ** 0.5) ** 2, rel=0.05))
+
+
+def test_a_drift_towards_the_hull_is_charged():
+    """The box stands 20 m off the goal: from 30 m off it a drift at 0.2 m/s ends in it, one away from it does not."""
+
+    def charged(towards):
+        view = view_at((-10, 0, 0))
+        view[3] = towards
+        given = (TUNING.weights._replace(tracking_velocity=np.float32(0)), goal(), np.tile(view, (16, 1)))
+        able = {"clear": True, "deceleration": np.float32(1), "reference": rests(16)}
+        return float(sequence_cost("safe", *given, np.zeros((16, 6), np.float32), **able))
+
+    assert charged(0.2) - charged(-0.6) == pytest.approx(3.0 * 4.0, rel=1e-3)
+
+
+def test_the_wrench_for_a_change_makes_it():
+    flown = flown_candidates()
+    found, view, chunk = effect.effect_of(*flown), flown[1][:1], flown[-1]
+    change = np.float32([0.03, -0.02, 0.01, 1e-3, 0, -1e-3])
+    wrench, after = TUNING.limit * effect.wrench_for(found, change), view
+    for _ in range(CONFIG.chunk):
+        after = move(BIAS, after, wrench[None])
+    changed = np.asarray(after - view)[0, [3, 4, 5, 10, 11, 12]]
+    assert float(found.elapsed) == chunk
+    np.testing.assert_allclose(changed, change, atol=2e-4)
 
 
 def flown_candidates(late=0):

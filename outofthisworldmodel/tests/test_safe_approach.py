@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from owm.scores.coasting import add_coasts, impulse_clears
+from owm.catalogue.policies import load_policy
+from owm.report.safety import coast_figure, front_figure
+from owm.scores.coasting import add_coasts, coasts_of, impulse_clears
 from owm.scores.docking import evaluation_config, fly_episodes, trials
 from owm.scores.flights import (
     Flights,
@@ -14,6 +16,7 @@ from owm.scores.flights import (
     succeeded,
     within_contact_limits,
 )
+from owm.study.matrix import planner_of
 from owm_envs.field import load_field
 from owm_envs.policies import VectorPolicy, make_policy
 
@@ -21,7 +24,7 @@ N = 1.127e-3  # rad/s
 
 
 @pytest.fixture(scope="module")
-def flown() -> Flights:
+def flown(quick_drifts) -> Flights:
     config = evaluation_config(fidelity="iss-hcw")
     seeds, ports = trials(per_port=1, seed=77)
     flights = fly_episodes(VectorPolicy(make_policy("dock-safe", config)), config, seeds, ports)
@@ -31,7 +34,7 @@ def flown() -> Flights:
 def test_it_docks_at_the_standards_rates_at_every_port(flown):
     assert succeeded(flown, 0.1, full=True).all()
     assert within_contact_limits(flown).all()
-    assert flown.time.max() < 240.0
+    assert flown.time.max() < 300.0
 
 
 def test_beyond_ten_metres_a_coast_clears_the_hull_and_nearer_an_impulse_does(flown):
@@ -40,6 +43,36 @@ def test_beyond_ten_metres_a_coast_clears_the_hull_and_nearer_an_impulse_does(fl
     assert avoidable_share(flown) > 0.95
     assert 0.6 < safe_share(flown) < far_safe_share(flown), "who closes in near the hull does drift into it"
     assert score(flown)["far_safe_share"] == far_safe_share(flown)
+
+
+def test_a_model_flies_it_too():
+    """With a quarter of the candidates. Twenty seconds: two whole flights, replanned every 2 s."""
+    config = evaluation_config(fidelity="iss-hcw")
+    seeds, ports = trials(["harmony_forward", "unity_nadir"], per_port=1, seed=77)
+    planner = planner_of("safe").model_copy(update={"candidates": 32})
+    policy = load_policy("pretrained", config, len(seeds), planner=planner)
+    flown = add_coasts(fly_episodes(policy, config, seeds, ports), load_field())
+    assert succeeded(flown, 0.1, full=True).all()
+    assert flown.closest_closing.max() < 0.10
+    assert far_safe_share(flown) > 0.97
+    assert avoidable_share(flown) > 0.9
+    assert flown.time.max() < 300.0
+
+
+def test_pictures_show_what_safety_costs(flown):
+    coasts = coasts_of(flown, load_field())
+    assert coasts.clear.sum() == flown.instants_safe.sum()
+    assert not coasts.avoidable[coasts.far].any()
+    shares, *views = coast_figure({"dock-safe": coasts}).axes
+    assert [line.get_label() for line in shares.lines] == ["dock-safe"]
+    near, *_, far = shares.lines[0].get_ydata()
+    assert near < 20 and far == 100
+    lost = len(coasts.states) - coasts.avoidable.sum() - (coasts.far & coasts.clear).sum()
+    assert all(len(axes.collections[-1].get_offsets()) == lost for axes in views)
+    row = {"far": 0.997, "contact": 1.0, "time": 150.0, "delta_v": 11.0}
+    time, fuel = front_figure({"a": row, "b": row | {"contact": 0.0, "time": 100.0}}).axes
+    assert [*time.collections[1].get_offsets()[0]] == [100.0, 99.7]
+    assert fuel.get_legend() is not None
 
 
 def test_flights_of_before_have_no_such_shares(flown):

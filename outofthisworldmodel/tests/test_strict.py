@@ -1,5 +1,7 @@
 """World models, planner and training loss under JAX's strictness flags."""
 
+from typing import get_args
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,10 +17,10 @@ from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.motion.linear import LinearMap
 from owm.planning import mpc, mppi
-from owm.planning.config import PlannerConfig
-from owm.planning.cost import Goal
+from owm.planning.config import Objective, PlannerConfig
 from owm.training.loss import draw, window_losses
 from owm_envs.field import GeodesicField
+from owm_envs.policies.guidance import Goal, drift_beside
 
 CONFIG = {"width": 16, "heads": 2, "window": 5, "head_width": 16}
 LIMIT = (1600.0,) * 3 + (2000.0,) * 3
@@ -30,6 +32,7 @@ def shaped(*shape, dtype=jnp.float32):
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
+DRIFT = drift_beside(1.13e-3)
 FIELD = GeodesicField(
     nodes=shaped(1, 16, 4),
     clearances=shaped(16),
@@ -54,7 +57,7 @@ def replanned(model, params, objective="geodesic"):
     history = History({"state": shaped(length, 13)}, shaped(length - 1, 6), shaped(length, dtype=bool))
 
     def replan(params, field, pose, history, committed):
-        problem = mppi.Problem(params, config.tuning(LIMIT), Goal(field, np.int32(0), pose))
+        problem = mppi.Problem(params, config.tuning(LIMIT), Goal(field, np.int32(0), pose, DRIFT))
         state = mppi.init_planner(config.shape)
         return mppi.plan(model, config.shape, problem, history, state, committed=committed, key=jax.random.key(0))
 
@@ -84,7 +87,7 @@ def test_learned_models_plan_and_train(stream, backbone, jax_flags):
     assert lost.shape == ()
 
 
-@pytest.mark.parametrize("objective", ["geodesic", "straight", "plain"])
+@pytest.mark.parametrize("objective", get_args(Objective))
 @pytest.mark.parametrize("model", ["constant velocity", "least squares"])
 def test_simple_models_plan(model, objective, jax_flags):
     linear = LinearMap.skeleton(jnp.float32)

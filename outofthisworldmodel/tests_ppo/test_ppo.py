@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from owm.baselines.ppo import train
 from owm.baselines.ppo.config import PRESETS, PPOConfig
 from owm.baselines.ppo.features import field_features
 from owm.baselines.ppo.policy import PPOPolicy
@@ -41,8 +42,8 @@ train_ppo(PPOConfig.model_validate_json(sys.argv[1]), Path(sys.argv[2]))
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     out = tmp_path_factory.mktemp("ppo") / "run"
-    last = train_ppo(QUICK, out, QUIET)
-    return out, last
+    best = train_ppo(QUICK, out, QUIET)
+    return out, best
 
 
 def lines(out):
@@ -63,10 +64,11 @@ def test_the_paper_s_table_is_the_default():
 
 
 def test_a_run_leaves_curve_metrics_and_its_best_policy(run):
-    out, last = run
+    out, best = run
     log = lines(out)
-    assert [line["step"] for line in log] == [0, 1024, 2048] and last == log[-1]
-    assert last["steps_per_second"] > 0 and (out / "curve.png").read_bytes()[:4] == b"\x89PNG"
+    assert [line["step"] for line in log] == [0, 1024, 2048]
+    assert best == max(log[1:], key=lambda line: line["validation/return"])
+    assert best["steps_per_second"] > 0 and (out / "curve.png").read_bytes()[:4] == b"\x89PNG"
     with (out / "curve.csv").open(encoding="utf-8") as file:
         assert [int(row["step"]) for row in csv.DictReader(file)] == [0, 1024, 2048]
     about = json.loads((out / "policy" / "config.json").read_text(encoding="utf-8"))["about"]
@@ -126,6 +128,25 @@ def test_the_field_is_observed_at_the_measured_position_of_each_slot_s_port():
     assert (raw[:, -1] * 225.0 > 0.99 * distance).all(), "no way is shorter than the straight one"
 
 
+def test_the_minutes_before_the_first_validation_are_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(train, "_SAVE_EVERY", 0.0)
+    validate, calls = train._validate, []
+
+    def killed(*given):
+        calls.append(given)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return validate(*given)
+
+    config = QUICK.model_copy(update={"validate_every": 2, "steps": 2048})
+    monkeypatch.setattr(train, "_validate", killed)
+    with pytest.raises(KeyboardInterrupt):
+        train_ppo(config, tmp_path / "run", QUIET)
+    assert [path.name for path in (tmp_path / "run" / "state").iterdir()] == ["1024"]
+    train_ppo(config, tmp_path / "run", QUIET)
+    assert [line["step"] for line in lines(tmp_path / "run")] == [0, 2048]
+
+
 def test_a_killed_run_goes_on_and_another_is_refused(run, tmp_path):
     out = tmp_path / "killed"
     config = QUICK.model_copy(update={"steps": 10**6})
@@ -139,9 +160,9 @@ def test_a_killed_run_goes_on_and_another_is_refused(run, tmp_path):
     child.send_signal(signal.SIGKILL)
     assert child.wait() == -signal.SIGKILL
     reached = max(int(path.name) for path in (out / "state").iterdir() if path.name.isdigit())
-    last = train_ppo(QUICK.model_copy(update={"steps": reached + 1024}), out, QUIET)
+    train_ppo(QUICK.model_copy(update={"steps": reached + 1024}), out, QUIET)
     steps = [line["step"] for line in lines(out)]
-    assert last["step"] == reached + 1024 and steps == list(range(0, reached + 1025, 1024))
+    assert steps == list(range(0, reached + 1025, 1024))
     with pytest.raises(ValueError, match="differs in gamma"):
         train_ppo(QUICK.model_copy(update={"gamma": 0.9}), out, QUIET)
 

@@ -87,8 +87,8 @@ def train_ppo(out: Path, config: PPOConfig) -> None:
     from owm.baselines.ppo.train import train_ppo as run
 
     announce("compiling the simulator ...")
-    last = run(config, out, console)
-    print(f"{out / 'policy'}: validation return {last['validation/return']:.1f} after {last['step']:,} decisions")
+    best = run(config, out, console)
+    print(f"{out / 'policy'}: validation return {best['validation/return']:.1f} after {best['step']:,} decisions")
 
 
 def presets() -> None:

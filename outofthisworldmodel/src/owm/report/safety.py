@@ -27,12 +27,12 @@ def front_figure(rows: Mapping[str, Mapping[str, float]]) -> Figure:
     for axes, (name, label) in zip(panels, (("time", "median time, s"), ("delta_v", "median delta-v, m/s"))):
         for color, (policy, row) in zip(PALETTE, rows.items()):
             full = row["contact"] > 0.99
-            axes.scatter(row[name], 100 * row["far"], s=70, facecolor=color if full else "white", edgecolor=color)
-            axes.annotate(policy, (row[name], 100 * row["far"]), (8, -3), textcoords="offset points", color=INK)
+            face = color if full else "white"
+            axes.scatter(row[name], 100 * row["far"], s=90, facecolor=face, edgecolor=color, lw=1.8, label=policy)
         axes.axhline(99, color=FAINT, lw=1, zorder=0)
         axes.set(xlabel=label)
-        axes.margins(x=0.25)
         tidy(axes)
+    panels[1].legend(loc="center right", frameon=False, fontsize=9)
     panels[0].set(ylabel=f"coasts of {COAST:.0f} s beyond {FAR:.0f} m that clear the hull, %", ylim=(50, 102))
     panels[0].set_title("filled: contact as the docking standard asks", loc="left", fontsize=10, color=INK)
     return figure

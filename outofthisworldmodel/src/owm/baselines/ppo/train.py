@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from rich.console import Console
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
@@ -29,6 +30,8 @@ from owm_envs.station import TRAIN_PORTS
 _VALIDATION_SEED = 2**41
 """Starts that neither training nor any evaluation flies."""
 _PARAMETERS = "parameters.pt"
+_SAVE_EVERY = 60.0
+"""s; the most that a kill loses, but for a rollout and its update."""
 _CURVE = ("step", "seconds", "steps_per_second", "train/return", "validation/return", "validation/docked")
 
 
@@ -45,7 +48,7 @@ def train_ppo(config: PPOConfig, out: Path, console: Console | None = None) -> d
         console: for progress.
 
     Returns:
-        The last line of the metrics.
+        The metrics of the policy in `out/policy`.
 
     Raises:
         FolderTaken: `out` holds a run of another configuration, or something else.
@@ -65,21 +68,26 @@ def _train(config: PPOConfig, out: Path, console: Console) -> dict[str, Any]:
     trial = make_env(config, config.validation_episodes, _VALIDATION_SEED, training=False)
     trial.obs_rms = venv.obs_rms
     model = _resumed(config, venv, saves[-1]) if saves else _new_model(config, venv)
+    spent = 0.0
     if saves:
-        _restore_statistics(venv, json.loads((saves[-1] / "statistics.json").read_text(encoding="utf-8")))
+        stored = json.loads((saves[-1] / "statistics.json").read_text(encoding="utf-8"))
+        _restore_statistics(venv, stored)
+        spent = stored.get("seconds", 0.0)  # older saves have none
         trial.obs_rms = venv.obs_rms
         set_random_seed(config.seed + step)
     with Metrics(out, step or -1) as metrics:
         lines = _lines(metrics.file)
-        spent = lines[-1]["seconds"] if lines else 0.0
+        spent = max(spent, lines[-1]["seconds"] if lines else 0.0)
         exported = (out / "policy").exists()  # or it was killed while it exchanged one for a better
         best = max((line["validation/return"] for line in lines if line["step"] and exported), default=-np.inf)
         if not lines:
             lines.append({"step": 0, "seconds": 0.0, **_validate(model, trial)})
             metrics.write(lines[-1])
+        every = config.validate_every * config.rollout * config.envs
         while model.num_timesteps < config.steps:
             began, before = time.perf_counter(), model.num_timesteps
-            model.learn(config.validate_every * config.rollout * config.envs, reset_num_timesteps=False)
+            keep = _Saves(venv, out / "state", spent)
+            model.learn(every - before % every, keep, reset_num_timesteps=False)
             # The time to validate is not the method's: it is left out of the curve.
             took = time.perf_counter() - began
             spent += took
@@ -96,7 +104,7 @@ def _train(config: PPOConfig, out: Path, console: Console) -> dict[str, Any]:
                 _export(model, venv, out / "policy", config, line)
             lines.append(line)
             metrics.write(line)
-            _save(model, venv, out / "state")
+            _save(model, venv, out / "state", spent)
             _write_curve(lines, out)
             console.print(
                 f"{line['step']:>11,} of {config.steps:,} decisions  {line['steps_per_second']:7,.0f}/s  "
@@ -105,7 +113,25 @@ def _train(config: PPOConfig, out: Path, console: Console) -> dict[str, Any]:
             )
     venv.close()
     trial.close()
-    return lines[-1]
+    return max(lines[1:], key=lambda line: line["validation/return"])
+
+
+class _Saves(BaseCallback):
+    """Keeps what the run goes on from between two validations, too."""
+
+    def __init__(self, venv: VecNormalize, folder: Path, spent: float):
+        super().__init__()
+        self._venv, self._folder, self._spent = venv, folder, spent
+        self._began = self._saved = time.monotonic()
+
+    def _on_rollout_start(self) -> None:
+        now = time.monotonic()
+        if now - self._saved > _SAVE_EVERY and self.model.num_timesteps:
+            _save(self.model, self._venv, self._folder, self._spent + now - self._began)
+            self._saved = now
+
+    def _on_step(self) -> bool:
+        return True
 
 
 def _new_model(config: PPOConfig, venv: VecNormalize) -> PPO:
@@ -182,13 +208,12 @@ def _export(model: PPO, venv: VecNormalize, folder: Path, config: PPOConfig, lin
     save_policy(folder, weights, observed, about)
 
 
-def _save(model: PPO, venv: VecNormalize, folder: Path) -> None:
+def _save(model: PPO, venv: VecNormalize, folder: Path, spent: float) -> None:
     """Keep what the run goes on from; the folder named by the step is whole or not there."""
     file, done = io.BytesIO(), folder / str(model.num_timesteps)
     torch.save(model.get_parameters(), file)
-    replace_folder(
-        done, {_PARAMETERS: file.getvalue(), "statistics.json": json.dumps(_statistics(venv)).encode("ascii")}
-    )
+    statistics = json.dumps(_statistics(venv) | {"seconds": spent}).encode("ascii")
+    replace_folder(done, {_PARAMETERS: file.getvalue(), "statistics.json": statistics})
     for other in folder.iterdir():
         if other != done:
             remove(other)
@@ -202,7 +227,8 @@ def _statistics(venv: VecNormalize) -> dict[str, Any]:
 
 
 def _restore_statistics(venv: VecNormalize, stored: dict[str, Any]) -> None:
-    for name, part in stored.items():
+    for name in ("obs_rms", "ret_rms"):
+        part = stored[name]
         statistics = RunningMeanStd(shape=np.shape(part["mean"]))
         statistics.mean, statistics.var = np.asarray(part["mean"]), np.asarray(part["var"])
         statistics.count = part["count"]
