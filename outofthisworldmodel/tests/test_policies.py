@@ -9,13 +9,14 @@ import synthetic
 from owm.baselines.classical import CRUISE_RADIUS, classical_policy, corridor_of, inside, wanted_velocity
 from owm.baselines.least_squares import LeastSquares
 from owm.baselines.online import OnlineBase, OnlineLeastSquares
-from owm.catalogue.policies import GIVEN, kind_of
+from owm.catalogue.policies import GIVEN, content_digest, is_planned, kind_of, load_model
 from owm.checkpoint import save_world_model
 from owm.model.config import ModelConfig
 from owm.model.streams import STREAMS
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.motion.linear import LinearMap
 from owm.planning.mpc import beyond, clohessy_wiltshire, solve, tracking
+from owm.scores.docking import evaluation_config
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy
 from owm_envs.station import goal_poses, hull_boxes
@@ -171,6 +172,23 @@ def test_online_models_are_named_by_what_they_start_from(fit, world_model, tmp_p
         kind_of("online:oracle-mppi")
     with pytest.raises(FileNotFoundError):
         kind_of(f"online:{tmp_path / 'nothing.here'}")
+
+
+def test_a_network_is_silenced_by_name(world_model, fit, tmp_path):
+    save_world_model(LeastSquares(fit), tmp_path / "fit")
+    save_world_model(world_model, tmp_path / "learned")
+    name = f"zeroed:{tmp_path / 'learned'}"
+    assert kind_of(name) == "world model, network zeroed" in GIVEN and is_planned(kind_of(name))
+    assert content_digest(name) != content_digest(str(tmp_path / "learned"))
+    config = evaluation_config(fidelity="iss-hcw")
+    silent, speaking = load_model(name, config), load_model(str(tmp_path / "learned"), config)
+    assert all(not np.any(leaf) for leaf in jax.tree.leaves(silent.params.network))
+    assert silent == speaking, "one compiled planner serves both"
+    np.testing.assert_array_equal(
+        *(jax.tree.leaves(model.params.statistics)[0] for model in (silent, speaking)), strict=True
+    )
+    with pytest.raises(ValueError, match="network over a fitted part"):
+        kind_of(f"zeroed:{tmp_path / 'fit'}")
 
 
 def test_the_linear_part_under_a_network_follows_as_the_fit_alone_does(fit, world_model):

@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,6 +64,9 @@ GIVEN: dict[str, Given] = {
         f"{_CORRECTOR}; action map",
         "corpus",
     ),
+    "world model, network zeroed": Given(
+        _MAP, f"{_KINEMATICS} fitted; the network's weights are zero", _PROFILE, "no", "no", _CORRECTOR, "corpus"
+    ),
     "ekf-mpc": Given(
         "no: a sphere about the station and a corridor to the port",
         "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
@@ -99,6 +103,9 @@ NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 ONLINE_PREFIX = "online:"
 """Before the folder of a model whose linear part is to be fitted again in flight."""
+ZEROED_PREFIX = "zeroed:"
+"""Before the folder of a world model whose network is to be silenced, to see what it is worth."""
+_ZEROED = {"world model": "world model, network zeroed"}
 _ONLINE = {"least-squares": "least-squares-online", "world model": "world model, online"}
 _OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 """A user's class, `module:Class`."""
@@ -151,7 +158,7 @@ def _own_policy(policy: str, **told: Any) -> Any:
 
 def is_planned(kind: str) -> bool:
     """Whether a kind of policy is a world model in the planner."""
-    return kind in ("oracle-mppi", *_ONLINE.values(), *_KINDS.values())
+    return kind in ("oracle-mppi", *_ONLINE.values(), *_ZEROED.values(), *_KINDS.values())
 
 
 def kind_of(policy: str) -> str:
@@ -166,11 +173,15 @@ def kind_of(policy: str) -> str:
         return policy
     if policy == "least-squares":
         raise ValueError("least-squares needs a fit: give its folder, such as runs/demo/least-squares")
-    if policy.startswith(ONLINE_PREFIX):
-        start = kind_of(_folder(policy))
-        if start not in _ONLINE:
-            raise ValueError(f"{ONLINE_PREFIX} needs a model with a linear part ({', '.join(_ONLINE)}), got a {start}")
-        return _ONLINE[start]
+    for prefix, kinds, needed in (
+        (ONLINE_PREFIX, _ONLINE, "a model with a linear part"),
+        (ZEROED_PREFIX, _ZEROED, "a model with a network over a fitted part"),
+    ):
+        if policy.startswith(prefix):
+            start = kind_of(_folder(policy))
+            if start not in kinds:
+                raise ValueError(f"{prefix} needs {needed} ({', '.join(kinds)}), got a {start}")
+            return kinds[start]
     if _OWN.fullmatch(policy):
         own_class(policy)
         return OWN
@@ -187,8 +198,8 @@ def kind_of(policy: str) -> str:
 
 
 def _folder(policy: str) -> str:
-    """The path in a policy's name: all of it, or what stands after "online:"."""
-    return policy.removeprefix(ONLINE_PREFIX)
+    """The path in a policy's name: all of it, or what stands after "online:" or "zeroed:"."""
+    return policy.removeprefix(ONLINE_PREFIX).removeprefix(ZEROED_PREFIX)
 
 
 def checkpoint_folder(path: str) -> Path:
@@ -202,7 +213,7 @@ def content_digest(source: str) -> str:
         return source
     if kind_of(source) == OWN:
         return sha256(source.encode() + Path(inspect.getfile(own_class(source))).read_bytes()).hexdigest()[:16]
-    path = source.removeprefix(ONLINE_PREFIX)
+    path = _folder(source)
     folder = checkpoint_folder(path)
     sha = sha256(source.removesuffix(path).encode())
     check(folder)
@@ -219,7 +230,8 @@ def load_policy(
 
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
-            to fly; `online:FOLDER` fits the linear part of either again in flight; `module:Class` is a class of your
+            to fly; `online:FOLDER` fits the linear part of either again in flight; `zeroed:FOLDER` flies a world model
+            whose network says nothing; `module:Class` is a class of your
             own, made with those of `config`, `num_slots` and `seed` that it takes.
         config: the environment to fly.
         num_slots: flights side by side.
@@ -309,6 +321,14 @@ def read_model(folder: Path, name: str, config: DockingConfig) -> Any:
     return model
 
 
+def zeroed(model: Any) -> Any:
+    """A learned world model with all weights of its network set to zero; what was measured and fitted stays."""
+    import jax
+
+    network = jax.tree.map(lambda x: 0 * x, model.params.network)
+    return replace(model, params=model.params._replace(network=network), name=f"{model.name}, network zeroed")
+
+
 def load_model(policy: str, config: DockingConfig) -> Any:
     """The world model behind "oracle-mppi" or a checkpoint.
 
@@ -326,5 +346,6 @@ def load_model(policy: str, config: DockingConfig) -> Any:
 
         return ConstantVelocity()
     if is_planned(kind):
-        return read_model(checkpoint_folder(_folder(policy)), policy, config)
+        model = read_model(checkpoint_folder(_folder(policy)), policy, config)
+        return zeroed(model) if policy.startswith(ZEROED_PREFIX) else model
     raise ValueError(f"policy {policy!r} has no world model")

@@ -15,7 +15,7 @@ from owm.baselines.ekf import HELD_COMMANDS, RECORDED_COMMANDS, ErrorStateEKF
 from owm.baselines.exact import ExactDynamics
 from owm.baselines.least_squares import fit_least_squares
 from owm.catalogue.hub import checkpoint_folder
-from owm.catalogue.policies import content_digest, read_model
+from owm.catalogue.policies import ZEROED_PREFIX, content_digest, read_model, zeroed
 from owm.console import announce, bar
 from owm.data.recordings import at_model_rate, corpus_facts, read_recordings, training_episodes
 from owm.data.windows import Episodes
@@ -56,8 +56,8 @@ def evaluate_prediction(
     """Score open-loop predictions of behaviour and of planner-style flights; print tables, write JSON and pictures.
 
     Args:
-        models: of `NAMED`, or folders of checkpoints; `BASELINES` are scored beside them on the same instants, the
-            filter with the longest of their histories.
+        models: of `NAMED`, or folders of checkpoints, "zeroed:" before them or not; `BASELINES` are scored beside them
+            on the same instants, the filter with the longest of their histories.
         data: datasets, each a folder or one of the hub's.
         split: one of theirs; by default the flights that training sets aside.
         windows: of each kind in each dataset, for the errors.
@@ -78,7 +78,7 @@ def evaluate_prediction(
             raise ValueError(f"{option} must be at least 1, got {value}")
     for name in models:
         if name not in NAMED:
-            checkpoint_folder(name, "predictor", NAMED)
+            checkpoint_folder(name.removeprefix(ZEROED_PREFIX), "predictor", NAMED)
     folders = _folders(data)
     asked = {"command": "owm evaluate prediction", "split": split, "windows": windows, "samples": samples, "seed": seed}
     asked |= {"models": {name: name if name in NAMED else content_digest(name) for name in models}}
@@ -180,7 +180,7 @@ def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: 
     """Return a world model by its name or folder.
 
     Args:
-        name: of `NAMED`, or the folder of a checkpoint, which the model is then called by.
+        name: of `NAMED`, or the folder of a checkpoint, which the model is then called by, with or without "zeroed:".
         config: what the dataset was recorded in: exact dynamics and filter are told of it.
         train: what least squares is fitted to.
         process_noise: of the filter.
@@ -196,12 +196,12 @@ def predictor(name: str, config: DockingConfig, train: Episodes, process_noise: 
         return ExactDynamics(config.fidelity, config)
     if name in ("least-squares", "least-squares-action-only"):
         return fit_least_squares(train, motion=name == "least-squares")
-    model = read_model(checkpoint_folder(name, "predictor", NAMED), name, config)
+    path = name.removeprefix(ZEROED_PREFIX)
+    model = read_model(checkpoint_folder(path, "predictor", NAMED), name, config)
     if isinstance(model, LearnedWorldModel):
-        folder = Path(name)
-        called = folder.parent.name if folder.name == "model" else folder.name
-        return LearnedWorldModel(model.config, model.params, called)
-    return model
+        folder = Path(path)
+        model = replace(model, name=folder.parent.name if folder.name == "model" else folder.name)
+    return model if path == name else zeroed(model)
 
 
 def sampled_outcome(model: Any) -> str | None:
