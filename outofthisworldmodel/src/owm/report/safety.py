@@ -32,7 +32,7 @@ def front_figure(rows: Mapping[str, Mapping[str, float]]) -> Figure:
         axes.axhline(99, color=FAINT, lw=1, zorder=0)
         axes.set(xlabel=label)
         tidy(axes)
-    panels[1].legend(loc="center right", frameon=False, fontsize=9)
+    panels[1].legend(loc=(0.03, 0.5), frameon=False, fontsize=9)
     panels[0].set(ylabel=f"coasts of {COAST:.0f} s beyond {FAR:.0f} m that clear the hull, %", ylim=(50, 102))
     panels[0].set_title("filled: contact as the docking standard asks", loc="left", fontsize=10, color=INK)
     return figure
