@@ -87,10 +87,10 @@ def safe_velocity(goal: Goal, position: Float[Array, "3"], velocity: Float[Array
 
     Beyond `NEAR` it is, of 65 directions at two speeds, the one of most progress down the geodesic cost-to-go whose
     free drift of 360 s keeps clear of the hull: so it passes by, beside the port, and turns in late. Nearer it follows
-    the cost-to-go at no more than 0.2 m/s + 0.12 / s of clearance. The last 5 m lead straight down the port's axis, to
-    a contact at 0.078 m/s; off the axis it holds back.
+    the cost-to-go, at no more than 0.25 m/s + 0.15 / s of clearance and 0.1 m/s + 1 m/s every 13 m of distance. The
+    last 5 m lead straight down the port's axis, to a contact at 0.078 m/s; off the axis it holds back.
 
-    Chosen on the nominal starts of `owm.scores.docking.trials(per_port=3, seed=501)`.
+    Chosen on the nominal starts of `owm.scores.docking.trials(per_port=6, seed=501)`.
     """
     speed, gradient, gap = field_speed(goal.field, goal.port, position)
     lacking = jnp.isnan(speed)
