@@ -8,6 +8,9 @@ import numpy as np
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_normalize, quat_rotate
 from owm.interface import History
+from owm.planning.config import PlannerConfig
+from owm.planning.policy import PlannerPolicy
+from owm_envs.config import load_config
 from owm_envs.field import FieldConfig, GeodesicField, solve_field
 from owm_envs.station import PORTS, goal_poses
 from owm_envs.view import View
@@ -74,3 +77,20 @@ def history_at(view, length: int = 3) -> History:
 def move(bias, views, actions):
     """Advance a batch of true views by one decision of a body with a bias."""
     return jax.vmap(lambda view, action: FreeBody().step(bias, None, action, view))(views, actions)
+
+
+ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
+STARTS = np.stack([view_at((3, -20, 4)), view_at((-8, -14, -6), np.float32([0.5, -0.866, 0, 0]))])
+
+
+def observe(layout, views) -> np.ndarray:
+    """Observations (B, O) that hold views (B, 13) and nothing else."""
+    observation = np.zeros((len(views), layout.size), np.float32)
+    observation[:, layout.view] = views
+    return observation
+
+
+def make(slots=2, **values) -> PlannerPolicy:
+    policy = PlannerPolicy(FreeBody(), small_field(), ENV, PlannerConfig(**values), slots)
+    policy.reset(ports=np.full(slots, PORT))
+    return policy

@@ -6,7 +6,7 @@ import gymnasium
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from free_body import BIAS, GOAL, LIMIT, NO_BIAS, PORT, FreeBody, move, small_field, view_at
+from free_body import BIAS, ENV, GOAL, LIMIT, NO_BIAS, PORT, STARTS, FreeBody, make, move, observe, small_field
 
 from owm.planning.config import PlannerConfig
 from owm.planning.policy import PlannerPolicy
@@ -15,22 +15,6 @@ from owm_envs.config import load_config
 from owm_envs.env import DockingEnv
 from owm_envs.station import PORT_NAMES
 from owm_envs.view import View
-
-ENV = load_config(fidelity="iss", precision="float32", steps_per_action=5)
-STARTS = np.stack([view_at((3, -20, 4)), view_at((-8, -14, -6), np.float32([0.5, -0.866, 0, 0]))])
-
-
-def observe(layout, views) -> np.ndarray:
-    """Observations (B, O) that hold views (B, 13) and nothing else."""
-    observation = np.zeros((len(views), layout.size), np.float32)
-    observation[:, layout.view] = views
-    return observation
-
-
-def make(slots=2, **values) -> PlannerPolicy:
-    policy = PlannerPolicy(FreeBody(), small_field(), ENV, PlannerConfig(**values), slots)
-    policy.reset(ports=np.full(slots, PORT))
-    return policy
 
 
 def fly(policy, views, decisions, bias=NO_BIAS):

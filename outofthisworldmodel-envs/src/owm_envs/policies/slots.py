@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from owm_envs.flags import own_flags
 from owm_envs.station import PORT_NAMES, port_indices
 from owm_envs.task.observation import Observation, ObservationLayout, part
-from owm_envs.task.sensors import STATE
+from owm_envs.task.sensors import STATE, STATE_VALID
 
 
 class Slots(NamedTuple):
@@ -23,12 +23,14 @@ class Slots(NamedTuple):
         port: index of the assigned port.
         episode: how many episodes the slot has flown before this one.
         active: False where an episode has ended and no other has begun.
+        measured: False where relative navigation is quiet: the state part is then an old one.
     """
 
     fresh: Bool[np.ndarray, "B"]
     port: Int[np.ndarray, "B"]
     episode: Int[np.ndarray, "B"]
     active: Bool[np.ndarray, "B"]
+    measured: Bool[np.ndarray, "B"]
 
 
 class SlotPolicy(ABC):
@@ -137,7 +139,8 @@ class SlotPolicy(ABC):
         """Actions for a batch of observations, as Stable-Baselines3 policies give them.
 
         Args:
-            observation: (B, O), or (O,) for a single slot; or a mapping of such parts.
+            observation: (B, O), or (O,) for a single slot; or a mapping of such parts, `state_valid` among them where
+                relative navigation may go quiet.
             state: what the last call returned; the state kept inside when None.
             episode_start: slots whose episode begins with this observation, at the port last announced; where that was
                 another episode's, and not one port for all, a warning says so.
@@ -169,7 +172,8 @@ class SlotPolicy(ABC):
             self.reset(begun)
         fresh, self._pending = self._pending, np.zeros_like(self._pending)
         self._episodes = self._episodes + fresh
-        slots = Slots(fresh, self._ports, self._episodes, self.active)
+        measured = np.reshape(batch.get(STATE_VALID, np.ones(self.num_slots)), self.num_slots).astype(bool)
+        slots = Slots(fresh, self._ports, self._episodes, self.active, measured)
         with own_flags(jax.config.jax_enable_x64):
             actions, self._state = self.act(self._state if state is None else state, batch, slots)
         actions = np.where(self.active[:, None], np.asarray(actions, np.float32), np.float32(0))

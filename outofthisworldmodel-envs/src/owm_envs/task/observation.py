@@ -75,6 +75,13 @@ class ObservationLayout:
         view = part(observation, STATE)[..., self.view]
         return view * VIEW_SCALE.astype(view.dtype) if self.normalize else view
 
+    def with_view(self, observation: Observation, view: Float[Array, "13"]) -> dict[str, Array]:
+        """An observation with another measured view [SI units] in it."""
+        state = part(observation, STATE)
+        numbers = view / jnp.asarray(VIEW_SCALE, view.dtype) if self.normalize else view
+        others = dict(observation) if isinstance(observation, Mapping) else {}
+        return others | {STATE: jnp.asarray(state).at[self.view].set(numbers.astype(state.dtype))}
+
     def measured_epoch(self, observation: Observation) -> Float[Array, "... 2"]:
         """The epoch [MJD day, s of day] of an observation that has one."""
         epoch = part(observation, STATE)[..., :2]

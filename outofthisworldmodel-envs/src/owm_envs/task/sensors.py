@@ -20,6 +20,10 @@ STATE = "state"
 """The part that every observation has: what relative navigation measures, laid out by `ObservationLayout`."""
 
 
+STATE_VALID = "state_valid"
+"""Beside it where relative navigation may go quiet: whether it was measured at this very instant, shape (1,)."""
+
+
 class Truth(NamedTuple):
     """The truth at one instant of one episode: all that a sensor may look at."""
 

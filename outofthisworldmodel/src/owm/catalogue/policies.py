@@ -251,10 +251,11 @@ def load_policy(
     checked_seed(seed, bits=32)
     from owm_envs.env import DockingEnv
     from owm_envs.policies import VectorPolicy, make_policy
+    from owm_envs.policies.reckoning import reckoning
 
     env = DockingEnv(config)
     if kind in SCRIPTED:
-        return VectorPolicy(make_policy(kind, env, geodesic_field=field), seed=seed)
+        return VectorPolicy(reckoning(make_policy(kind, env, geodesic_field=field)), seed=seed)
     if kind == OWN:
         flown = _own_policy(policy, config=config, num_slots=num_slots, seed=seed)
         if not isinstance(getattr(flown, "name", None), str):

@@ -53,6 +53,8 @@ class SlotStates(NamedTuple):
     """The parts that the model looks at; of the state part the measured view (B, H, 13)."""
     action: Float[np.ndarray, "B H-1 6"]
     valid: Bool[np.ndarray, "B H"]
+    measured: Bool[np.ndarray, "B"]
+    """Whether the last view was measured, and not predicted."""
     chunk: Float[np.ndarray, "B L+C 6"]
     """Wrenches [N, N m]: those that stood when the last replan began (L), and what it planned."""
     index: Int[np.ndarray, "B"]
@@ -142,6 +144,7 @@ class PlannerPolicy(SlotPolicy):
             observation={name: np.zeros((count, history, *x.shape), x.dtype) for name, x in self._parts.items()},
             action=np.zeros((count, history - 1, 6), np.float32),
             valid=np.zeros((count, history), bool),
+            measured=np.ones(count, bool),
             chunk=np.zeros((count, shape.latency + shape.chunk, 6), np.float32),
             index=np.full(count, shape.chunk, np.int32),
             replans=np.zeros(count, np.uint32),
@@ -167,6 +170,9 @@ class PlannerPolicy(SlotPolicy):
         broken = slots.active & ~np.isfinite(view).all(axis=1)
         if broken.any():
             raise ValueError(f"observation is not finite in slots {np.flatnonzero(broken).tolist()}")
+        lost = slots.active & ~slots.measured & ~slots.fresh
+        if lost.any():
+            view = np.where(lost[:, None], self._reckoned(state), view)
         state = self._remember(state, {name: observation[name] for name in self._parts} | {STATE: view}, slots)
         due = np.flatnonzero((state.index >= self.config.chunk) & slots.active)
         if due.size:
@@ -185,6 +191,7 @@ class PlannerPolicy(SlotPolicy):
             # The noise of the measurement that a plan was made from is in its first action: what follows would be
             # taken for the action's work.
             telling = slots.active & ~slots.fresh & ((state.index > 1) | (self.config.latency > 0))
+            telling &= slots.measured & state.measured
             known = jax.device_get(_learn(self._learner, known, telling, before, executed, continuous))
         latest = seen | {STATE: continuous}
         longer = state._replace(
@@ -194,6 +201,7 @@ class PlannerPolicy(SlotPolicy):
             },
             action=np.concatenate([state.action, executed[:, None]], axis=1)[:, 1:],
             valid=np.concatenate([state.valid, np.ones((len(continuous), 1), bool)], axis=1)[:, 1:],
+            measured=slots.measured,
             known=known,
         )
         if not slots.fresh.any():
@@ -209,6 +217,17 @@ class PlannerPolicy(SlotPolicy):
             valid=np.arange(state.valid.shape[1]) == np.full((len(continuous), 1), state.valid.shape[1] - 1),
         )
         return jax.tree.map(choose, begun, longer)
+
+    def _reckoned(self, state: SlotStates) -> Float[np.ndarray, "B 13"]:
+        """The view that the model predicts for now in every slot, from what it saw before and the wrench since."""
+        executed = state.chunk[np.arange(len(state.chunk)), state.index - 1]
+        params = self.model.params
+        if self._learner is not None:
+            params = jax.vmap(self._learner.params)(state.known)
+        history = History(state.observation, state.action, state.valid)
+        with own_flags(self._wide):
+            ahead = _ahead(self.model, self._learner is not None, params, history, executed)
+        return np.asarray(ahead, np.float32)
 
     def _replan(self, state: SlotStates, due: Int[np.ndarray, "D"], port: Int[np.ndarray, "B"]) -> SlotStates:
         """Replan the slots that are due."""
@@ -283,6 +302,16 @@ def replan_slot() -> Callable[..., tuple[Float[Array, "C 6"], PlannerState]]:
         return plan(model, shape, problem, history, state, committed=committed, key=key)
 
     return jax.jit(replan, static_argnums=(0, 1), compiler_options=compiler_options(libraries=False))
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _ahead(model, learned, params, history, wrench):
+    """What a model predicts one step ahead of each slot's history; parameters of each slot's own where learned."""
+
+    def one(params, history, wrench):
+        return model.decode(params, model.step(params, None, wrench, model.encode(params, history)))[STATE]
+
+    return jax.vmap(one, (0 if learned else None, 0, 0))(params, history, wrench)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from owm.scores.flights import Flights, join
+from owm.scores.outages import Outages
 from owm.scores.tape import Tape
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.episode import Episode
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
+from owm_envs.task.sensors import STATE, STATE_VALID
 from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import checked_seed, unknown
 
@@ -87,6 +89,7 @@ def fly_episodes(
     slots: int | None = None,
     name: str | None = None,
     keep: Callable[[list[Episode]], None] | None = None,
+    outages: Outages | None = None,
 ) -> Flights:
     """Fly one episode per seed with a policy that sees observations and ports only.
 
@@ -102,6 +105,8 @@ def fly_episodes(
         slots: most flights at a time, all when None; the last batch is filled up, so that shapes stay.
         name: what to call the policy; its own `name` when None.
         keep: given the flights of each batch, in order, as whole recordings of what was seen and done.
+        outages: when relative navigation is quiet: then the policy is shown the last measurement again, and told so
+            (`state_valid`).
 
     Raises:
         ValueError: shapes disagree, nothing to fly, an unknown port, or actions of the wrong shape.
@@ -118,7 +123,7 @@ def fly_episodes(
         index = np.arange(first, first + slots) % len(seeds)
         told = None if progress is None else lambda *now, first=first: progress(first, *now)
         tape = None if keep is None else Tape(name)
-        batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name, tape)
+        batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name, tape, outages)
         real = slice(0, len(seeds) - first)
         parts.append(batch.select(real))
         if tape is not None:
@@ -127,9 +132,10 @@ def fly_episodes(
     return join(parts)
 
 
-def _fly_batch(policy, env, seeds, ports, progress, record, name, tape) -> Flights:
+def _fly_batch(policy, env, seeds, ports, progress, record, name, tape, outages) -> Flights:
     config, layout = env.config, env.layout
     decisions = config.horizon_decisions
+    measured, shown = _measured(outages, seeds, decisions, config.decision_dt), None
     observation, info = env.reset(seed=seeds.tolist(), options={"dock_port": [int(port) for port in ports]})
     path, clock, began = [info["true_state"]], [np.zeros(len(seeds))], info["epoch"]
     if tape is not None:
@@ -144,6 +150,10 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name, tape) -> Fligh
     policy.reset(np.ones(len(seeds), bool), ports)
     state, start = None, np.ones(len(seeds), bool)
     for decision in range(decisions):
+        if measured is not None:
+            seen = measured[:, decision, None]
+            shown = observation if shown is None else np.where(seen, observation, shown)
+            observation = {STATE: shown, STATE_VALID: seen}
         before = time.perf_counter()
         action, state = policy.predict(observation, state, start, True)
         action = np.asarray(action)
@@ -195,6 +205,15 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name, tape) -> Fligh
         bounds=(bounds.speed, math.radians(bounds.attitude_deg), math.radians(bounds.rate_deg)),
         trajectory=trajectory if record else None,
     )
+
+
+def _measured(
+    outages: Outages | None, seeds: Int[np.ndarray, "N"], decisions: int, dt: float
+) -> Bool[np.ndarray, "N T"] | None:
+    """Whether there is a measurement, decision by decision; None where there always is."""
+    if outages is None:
+        return None
+    return np.stack([outages.measured(int(seed), decisions, dt) for seed in seeds])
 
 
 def state_at(

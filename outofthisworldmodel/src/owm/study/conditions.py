@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from owm.scores.docking import evaluation_config
+from owm.scores.outages import Outages
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.parts import NOISE_PRESETS, ChaserConfig
 from owm_envs.station import hull_boxes
@@ -33,6 +34,8 @@ class Condition:
     """Fields of the environment that policies are not told: they are built for the nominal one."""
     map: Callable[[Boxes], Boxes] | None = None
     """From the true hull to the one that the planner's field is made of; the truth keeps its hull."""
+    outages: Outages | None = None
+    """When relative navigation is quiet; policies are told that it is."""
 
     def told(self) -> DockingConfig:
         """The environment that policies are built for."""
@@ -121,6 +124,12 @@ CONDITIONS: dict[str, Condition] = {
     ),
     "map shifted": Condition("the planner's hull lies 0.3 m off", map=shifted),
     "map turned": Condition("the planner's hull is turned by 1 deg", map=turned),
+    **{
+        f"outages of {seconds:g} s": Condition(
+            f"no measurement for {seconds:g} s, again and again, a third of the time", outages=Outages(seconds)
+        )
+        for seconds in (1.0, 5.0, 10.0, 30.0)
+    },
     "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
 }
 CONDITIONS |= {
