@@ -3,6 +3,7 @@
 python benchmarks/safe_approach.py                                # 25 flights to each port, some 20 minutes
 python benchmarks/safe_approach.py --flights 3 --policies dock-safe
 python benchmarks/safe_approach.py --pictures docs/results/figures
+python benchmarks/safe_approach.py --flights 3 --seed 11 --outages 10         # quiet for 10 s, again and again
 
 Every policy flies the same starts in `iss-numerical` with cooperative noise; after a model stands how it is planned
 with. The last line is all figures as JSON.
@@ -20,6 +21,7 @@ from owm.report.safety import coast_figure, front_figure
 from owm.scores.coasting import add_coasts, coasts_of
 from owm.scores.docking import evaluation_config, fly_episodes, trials
 from owm.scores.flights import score
+from owm.scores.outages import Outages
 from owm.study.matrix import planner_of
 from owm_envs.field import load_field
 from owm_envs.figures import save_figure
@@ -33,6 +35,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=25, help="to each port")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--policies", nargs="+", default=POLICIES)
+    parser.add_argument("--outages", type=float, help="s for which relative navigation is quiet, again and again")
     parser.add_argument("--pictures", type=Path, help="folder to draw into")
     options = parser.parse_args()
     config, field = evaluation_config(), load_field()
@@ -43,7 +46,8 @@ def main() -> None:
         slots = min(100, len(seeds))
         with console.status(f"{name} flies {len(seeds)} times"):
             policy = load_policy(source, config, slots, planner=planner_of(planner or "geodesic"), field=field)
-            flights = fly_episodes(policy, config, seeds, ports, slots=slots)
+            quiet = Outages(options.outages) if options.outages else None
+            flights = fly_episodes(policy, config, seeds, ports, slots=slots, outages=quiet)
             coasts[name] = coasts_of(flights, field)
             scores = score(add_coasts(flights, field))
         figures[name] = {
