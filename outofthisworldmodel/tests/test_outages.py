@@ -26,6 +26,12 @@ def test_outages_last_as_long_and_as_often_as_said(duration):
     assert (seen[3] != seen[4]).any()
 
 
+@pytest.mark.parametrize("outages", [Outages(0.0), Outages(-1.0), Outages(1.0, 0.0), Outages(1.0, 1.0)])
+def test_outages_without_end_or_length_are_refused(outages):
+    with pytest.raises(ValueError, match="outages need a positive duration"):
+        outages.measured(0, 10, 0.25)
+
+
 def test_a_planner_that_is_blind_goes_by_its_model():
     """The free body is predicted as it flies: whoever sees all of it plans the same."""
     blind, seeing = make(), make()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from free_body import BIAS, GOAL, LIMIT, NO_BIAS, FreeBody, history_at, move, small_field, view_at
 
+from astrojax.constants import GM_EARTH
 from owm.interface import roll_out
 from owm.planning import corrector, cost, effect, mppi, sampler, update
 from owm.planning.config import PlannerConfig
@@ -48,7 +49,7 @@ REST = np.concatenate([GOAL[:3], np.zeros(3)]).astype(np.float32)
 
 
 def goal():
-    return Goal(small_field(), np.int32(0), GOAL, drift_beside(1.13e-3))
+    return Goal(small_field(), np.int32(0), GOAL, drift_beside((GM_EARTH / 1.13e-3**2) ** (1 / 3)))
 
 
 def rests(steps):
@@ -212,7 +213,7 @@ def test_a_speed_that_cannot_be_braked_is_charged(kind):
 
 
 def test_a_drift_towards_the_hull_is_charged():
-    """The box stands 20 m off the goal: from 30 m off it a drift at 0.2 m/s ends in it, one away from it does not."""
+    """The box stands 24 m off the goal: from 34 m off it a drift at 0.2 m/s ends in it, one away from it does not."""
 
     def charged(towards):
         view = view_at((-10, 0, 0))

@@ -32,7 +32,7 @@ def shaped(*shape, dtype=jnp.float32):
     return jax.ShapeDtypeStruct(shape, dtype)
 
 
-DRIFT = drift_beside(1.13e-3)
+DRIFT = drift_beside(6_795_000.0)
 FIELD = GeodesicField(
     nodes=shaped(1, 16, 4),
     clearances=shaped(16),

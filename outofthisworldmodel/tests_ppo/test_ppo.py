@@ -138,7 +138,7 @@ def test_the_minutes_before_the_first_validation_are_kept(tmp_path, monkeypatch)
             raise KeyboardInterrupt
         return validate(*given)
 
-    config = QUICK.model_copy(update={"validate_every": 2, "steps": 2048})
+    config = QUICK.model_copy(update={"validate_every": 2, "steps": 1000})  # fewer than were saved when it was killed
     monkeypatch.setattr(train, "_validate", killed)
     with pytest.raises(KeyboardInterrupt):
         train_ppo(config, tmp_path / "run", QUIET)

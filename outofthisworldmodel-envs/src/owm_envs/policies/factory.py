@@ -4,7 +4,6 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from astrojax.constants import GM_EARTH
 from owm_envs.env import docking_env
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.policies.base import ScriptedPolicy, Vehicle
@@ -43,8 +42,7 @@ def make_policy(name: str, env: Any, *, geodesic_field: Any = None) -> ScriptedP
         return ExcitePolicy(vehicle, layout=layout, hold=max(1, round(2.0 / decision_dt)))
     if name == "dock-safe":
         geodesic_field, rows = prepared(geodesic_field)
-        mean_motion = (GM_EARTH / env.config.chief.semi_major_axis**3) ** 0.5
-        drift = jnp.asarray(drift_beside(mean_motion))
+        drift = jnp.asarray(drift_beside(env.config.chief.semi_major_axis))
         return DockSafePolicy(vehicle, geodesic_field, rows, drift, layout=layout)
     kinds = {kind.name: kind for kind in (DockGeodesicPolicy, DockGeodesicIntegralPolicy)}
     return kinds[name](vehicle, *prepared(geodesic_field), layout=layout)

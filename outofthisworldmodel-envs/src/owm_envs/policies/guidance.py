@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_rotate
+from astrojax.orbits import mean_motion
 from owm_envs.field import GeodesicField, clearance, cost_to_go
 from owm_envs.field.drift import drift_matrices, drift_shortfall
 from owm_envs.task.events import safe_norm
@@ -60,9 +61,11 @@ class Goal(NamedTuple):
     drift: Float[Array, "T 3 6"] | None = None
 
 
-def drift_beside(mean_motion: float) -> Float[np.ndarray, "T 3 6"]:
-    """Where free drifts lead, at `DRIFT_TIMES`, beside a station of this mean motion [rad/s]."""
-    return drift_matrices(mean_motion, DRIFT_TIMES)
+def drift_beside(semi_major_axis: float) -> Float[np.ndarray, "T 3 6"]:
+    """Where free drifts lead, at `DRIFT_TIMES`, beside a station whose orbit has this semi-major axis [m]."""
+    with jax.enable_x64(True):
+        rate = float(mean_motion(jnp.asarray(semi_major_axis, jnp.float64)))
+    return drift_matrices(rate, DRIFT_TIMES)
 
 
 def field_speed(

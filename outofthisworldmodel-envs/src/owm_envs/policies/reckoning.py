@@ -1,6 +1,5 @@
 """Dead reckoning: what a scripted policy goes by while relative navigation is quiet."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -10,8 +9,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm_envs.policies.base import ScriptedPolicy, Vehicle
-from owm_envs.task.observation import Observation, ObservationLayout
-from owm_envs.task.sensors import STATE_VALID
+from owm_envs.task.observation import Observation, ObservationLayout, seen_now
 from owm_envs.view import VIEW_SIZE, View
 
 _STATIC = {"static": True}
@@ -46,8 +44,7 @@ class ReckoningPolicy:
     def act(self, state: Reckoned, observation: Observation) -> tuple[Float[Array, "6"], Reckoned]:
         """The policy's action for what it sees, or for where it must be."""
         view = self.layout.measured_view(observation)
-        if isinstance(observation, Mapping) and STATE_VALID in observation:
-            seen = jnp.reshape(observation[STATE_VALID], ()).astype(bool)
+        if (seen := seen_now(observation)) is not None:
             view = jnp.where(seen, view, coast(self.vehicle, state.view, state.wrench).astype(view.dtype))
             observation = self.layout.with_view(observation, view)
         action, inner = self.policy.act(state.inner, observation)

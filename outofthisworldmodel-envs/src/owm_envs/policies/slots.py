@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 from owm_envs.flags import own_flags
 from owm_envs.station import PORT_NAMES, port_indices
-from owm_envs.task.observation import Observation, ObservationLayout, part
-from owm_envs.task.sensors import STATE, STATE_VALID
+from owm_envs.task.observation import Observation, ObservationLayout, part, seen_now
+from owm_envs.task.sensors import STATE
 
 
 class Slots(NamedTuple):
@@ -172,7 +172,8 @@ class SlotPolicy(ABC):
             self.reset(begun)
         fresh, self._pending = self._pending, np.zeros_like(self._pending)
         self._episodes = self._episodes + fresh
-        measured = np.reshape(batch.get(STATE_VALID, np.ones(self.num_slots)), self.num_slots).astype(bool)
+        seen = seen_now(batch)
+        measured = np.ones(self.num_slots, bool) if seen is None else seen
         slots = Slots(fresh, self._ports, self._episodes, self.active, measured)
         with own_flags(jax.config.jax_enable_x64):
             actions, self._state = self.act(self._state if state is None else state, batch, slots)

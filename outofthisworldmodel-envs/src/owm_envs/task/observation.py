@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Shaped
 
-from owm_envs.task.sensors import STATE
+from owm_envs.task.sensors import STATE, STATE_VALID
 from owm_envs.view import VIEW_NAMES, VIEW_SIZE
 
 EPOCH_SCALE = np.array([7.0, 86_400.0])
@@ -25,6 +25,13 @@ def part(observation: Observation, name: str) -> Array:
     if getattr(observation, "dtype", None) == np.uint8:
         raise TypeError("the observation is of pixels alone: observation='state+pixels' has the state part beside them")
     return {STATE: observation}[name]
+
+
+def seen_now(observation: Observation) -> Array | None:
+    """Whether the state part was measured at this very instant, (...,); None where it always is."""
+    if not isinstance(observation, Mapping) or STATE_VALID not in observation:
+        return None
+    return observation[STATE_VALID][..., 0].astype(bool)
 
 
 @dataclass(frozen=True)

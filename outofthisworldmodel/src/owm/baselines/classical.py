@@ -1,6 +1,5 @@
 """The classical stack: an extended Kalman filter, a route without a map of the hull, and model-predictive control."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -16,8 +15,7 @@ from owm.planning.mpc import Corridor, Tracking, solve, tracking
 from owm_envs.env import DockingEnv
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of
 from owm_envs.task.events import safe_norm
-from owm_envs.task.observation import Observation, ObservationLayout
-from owm_envs.task.sensors import STATE_VALID
+from owm_envs.task.observation import Observation, ObservationLayout, seen_now
 from owm_envs.view import VIEW_SIZE, View
 
 CRUISE_RADIUS = 85.0
@@ -121,12 +119,10 @@ class ClassicalPolicy:
         first = self.ekf.init(self.params, measured)
         # Before the first measurement there is no belief to go on from, but a rotation must be one to be finite.
         known = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), state.belief, first)
-        followed = self.ekf.predict(self.params, known, state.wrench)
-        corrected = self.ekf.update(self.params, followed, measured)
-        if isinstance(observation, Mapping) and STATE_VALID in observation:
-            seen = jnp.reshape(observation[STATE_VALID], ()).astype(bool)
-            corrected = jax.tree.map(lambda a, b: jnp.where(seen, a, b), corrected, followed)
-        followed = corrected
+        predicted = self.ekf.predict(self.params, known, state.wrench)
+        followed = self.ekf.update(self.params, predicted, measured)
+        if (seen := seen_now(observation)) is not None:
+            followed = jax.tree.map(lambda a, b: jnp.where(seen, a, b), followed, predicted)
         belief = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), followed, first)
         view = View.of(belief.view)
 

@@ -106,13 +106,13 @@ def plan(
     position = View.of(measured).position
     distance = jnp.sqrt(jnp.sum((position - goal.pose[:3]) ** 2))
     nearness = jnp.minimum(1, tuning.sigma_near + (1 - tuning.sigma_near) * distance / tuning.sigma_distance)
-    plan, reference = state.plan, jnp.zeros((shape.horizon, 6), dtype)
+    warm, reference = state.plan, jnp.zeros((shape.horizon, 6), dtype)
     if shape.objective == "safe":
         able = _SHARE * authority(state.effect)
         path = safe_reference(goal, measured, shape.latency + shape.horizon, model.dt, able)[shape.latency :]
         reference = path[1:]
-        plan = jnp.where(state.started, _along(path, state, model.dt), plan)
-    candidates = sample_candidates(shape, nearness * tuning.sigma, plan, key=key)
+        warm = jnp.where(state.started, _along(path, state, model.dt), warm)
+    candidates = sample_candidates(shape, nearness * tuning.sigma, warm, key=key)
 
     # The rollout is vmapped whole, not its step: what no action moves (the context, the station) is computed
     # once.

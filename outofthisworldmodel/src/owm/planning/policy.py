@@ -12,7 +12,6 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 
 from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
-from astrojax.constants import GM_EARTH
 from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
@@ -127,7 +126,7 @@ class PlannerPolicy(SlotPolicy):
         self._field = jax.device_put(field)
         self._drift = None
         if self.config.objective == "safe":
-            self._drift = drift_beside((GM_EARTH / env.config.chief.semi_major_axis**3) ** 0.5)
+            self._drift = drift_beside(env.config.chief.semi_major_axis)
 
     def __repr__(self) -> str:
         return f"PlannerPolicy({self.name!r}, num_slots={self.num_slots}, {self.config!r})"

@@ -24,7 +24,7 @@ ENDS = {
     "collided": "#D55E00",
 }
 """What became of a flight, worst last, and its colour."""
-_VIEWS = (("seen from port side", 1, 2, 1), ("seen from ahead", 0, 2, -1), ("seen from below", 1, 0, -1))
+VIEWS = (("seen from port side", 1, 2, 1), ("seen from ahead", 0, 2, -1), ("seen from below", 1, 0, -1))
 """Name, horizontal and vertical axis, and whether the third axis points at (1) or away from the viewer."""
 
 
@@ -68,7 +68,7 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
     views = [[figure.add_subplot(grid[row, column]) for column in range(3)] for row in range(len(spans))]
     for row, (closeness, span) in zip(views, spans.items()):
         low, high = _limits(span)
-        for axes, (name, i, j, sign) in zip(row, _VIEWS):
+        for axes, (name, i, j, sign) in zip(row, VIEWS):
             # Over many flights, or they would cover it.
             silhouette(axes, hull_boxes(), i, j, sign, alpha=1 if single else 0.75, zorder=1 if single else 3.15)
             for port in ports:
@@ -88,7 +88,7 @@ def trajectory_figure(flights: Flights, title: str | None = None, radius: float 
                   "zorder": 3 + 0.1 * layer}  # fmt: skip
         room = hull_distance(View.of(some.trajectory).position, radius)
         for row in views:
-            for axes, (_, i, j, _) in zip(row, _VIEWS):
+            for axes, (_, i, j, _) in zip(row, VIEWS):
                 _tracks(axes, some.trajectory, room, i, j, stroke, single)
         _histories(histories, some, room, stroke)
         labels[end if single else f"{end}: {len(some)}"] = color

@@ -6,14 +6,14 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.figure import Figure
 
+from owm.report.plots import VIEWS
 from owm.scores.coasting import COAST, FAR, Coasts
 from owm_envs.figures import AXES, FAINT, INK, PALETTE, silhouette, tidy
 from owm_envs.station import hull_boxes
 
 RANGES = (0.0, 3.0, 10.0, 20.0, 40.0, 80.0, np.inf)
 """m of clearance, between which instants are counted."""
-_VIEWS = (("from starboard", 1, 2, -1), ("from below", 1, 0, -1))
-"""Name, axes drawn, the sign of the hidden one."""
+_DRAWN = (VIEWS[0], VIEWS[2])
 
 
 def front_figure(rows: Mapping[str, Mapping[str, float]]) -> Figure:
@@ -46,7 +46,7 @@ def coast_figure(flown: Mapping[str, Coasts]) -> Figure:
     figure = Figure(figsize=(14, 4.8), layout="constrained", facecolor="white")
     shares, *views = figure.subplots(1, 3, width_ratios=(1, 1.2, 1.2))
     names = [f"{low:g}-{high:g}" if np.isfinite(high) else f"{low:g}+" for low, high in pairwise(RANGES)]
-    for axes, (name, i, j, sign) in zip(views, _VIEWS):
+    for axes, (name, i, j, sign) in zip(views, _DRAWN):
         silhouette(axes, hull_boxes(), i, j, sign)
         axes.set(xlabel=AXES[i], ylabel=AXES[j], xlim=(-110, 110), ylim=(-90, 90))
         axes.set_aspect("equal")
@@ -55,7 +55,7 @@ def coast_figure(flown: Mapping[str, Coasts]) -> Figure:
     for color, (policy, coasts) in zip(PALETTE, flown.items()):
         shares.plot(names, _by_range(coasts), "o-", color=color, label=policy)
         lost = coasts.states[np.where(coasts.far, ~coasts.clear, ~coasts.avoidable)]
-        for axes, (_, i, j, _) in zip(views, _VIEWS):
+        for axes, (_, i, j, _) in zip(views, _DRAWN):
             axes.scatter(lost[:, i], lost[:, j], s=5, color=color, lw=0, alpha=0.7)
     shares.set(xlabel="clearance of the hull, m", ylabel=f"coasts of {COAST:.0f} s that clear it, %", ylim=(0, 102))
     shares.legend(frameon=False, fontsize=9)

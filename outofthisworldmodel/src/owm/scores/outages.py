@@ -24,7 +24,12 @@ class Outages(NamedTuple):
             seed: of the flight.
             decisions: how many.
             dt: seconds from one to the next.
+
+        Raises:
+            ValueError: the duration is not positive, or the share not between 0 and 1.
         """
+        if not (self.duration > 0 and 0 < self.share < 1):
+            raise ValueError(f"outages need a positive duration and a share between 0 and 1, got {self}")
         rng = np.random.default_rng([seed, round(1000 * self.duration)])
         seen, at = np.ones(decisions, bool), 0.0
         while at < decisions * dt:

@@ -84,7 +84,7 @@ def _train(config: PPOConfig, out: Path, console: Console) -> dict[str, Any]:
             lines.append({"step": 0, "seconds": 0.0, **_validate(model, trial)})
             metrics.write(lines[-1])
         every = config.validate_every * config.rollout * config.envs
-        while model.num_timesteps < config.steps:
+        while lines[-1]["step"] < config.steps:  # what was saved since has not been validated
             began, before = time.perf_counter(), model.num_timesteps
             keep = _Saves(venv, out / "state", spent)
             model.learn(every - before % every, keep, reset_num_timesteps=False)
