@@ -32,7 +32,7 @@ def fly():
             pulses = state.pulses
             return state, (wrench, *((pulses.level, pulses.owed) if on_off else ()))
 
-        start = actuators_at_rest(longest, on_off, commands.dtype)
+        start = actuators_at_rest(longest, on_off, False, commands.dtype)
         return jax.lax.scan(step, start, commands)[1]
 
     compiled = jax.jit(run, static_argnums=(4, 5))
@@ -117,7 +117,7 @@ def test_commands_arrive_late_by_whole_steps_and_scaled(fly, delay, on_off):
 
 
 def test_proportional_thrusters_without_delay_keep_no_state():
-    assert sum(leaf.size for leaf in jax.tree.leaves(actuators_at_rest(0, False, jnp.float32))) == 0
+    assert sum(leaf.size for leaf in jax.tree.leaves(actuators_at_rest(0, False, False, jnp.float32))) == 0
 
 
 @pytest.mark.parametrize("thrusters", ["proportional", "on_off"])

@@ -4,8 +4,10 @@ python benchmarks/safe_approach.py                                # 25 flights t
 python benchmarks/safe_approach.py --flights 3 --policies dock-safe
 python benchmarks/safe_approach.py --pictures docs/results/figures
 python benchmarks/safe_approach.py --flights 3 --seed 11 --outages 10         # quiet for 10 s, again and again
+python benchmarks/safe_approach.py --flights 2 --condition "force x dead"
 
-Every policy flies the same starts in `iss-numerical` with cooperative noise; after a model stands how it is planned
+Every policy flies the same starts, in `iss-numerical` with cooperative noise unless a condition of
+`owm.study.conditions` says otherwise; after a model stands how it is planned
 with. The last line is all figures as JSON.
 """
 
@@ -19,9 +21,10 @@ from rich.table import Table
 from owm.catalogue.policies import load_policy
 from owm.report.safety import coast_figure, front_figure
 from owm.scores.coasting import add_coasts, coasts_of
-from owm.scores.docking import evaluation_config, fly_episodes, trials
+from owm.scores.docking import fly_episodes, trials
 from owm.scores.flights import score
 from owm.scores.outages import Outages
+from owm.study.conditions import condition
 from owm.study.matrix import planner_of
 from owm_envs.field import load_field
 from owm_envs.figures import save_figure
@@ -35,19 +38,21 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=25, help="to each port")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--policies", nargs="+", default=POLICIES)
+    parser.add_argument("--condition", default="nominal")
     parser.add_argument("--outages", type=float, help="s for which relative navigation is quiet, again and again")
     parser.add_argument("--pictures", type=Path, help="folder to draw into")
     options = parser.parse_args()
-    config, field = evaluation_config(), load_field()
+    conditions, field = condition(options.condition), load_field()
+    told, flown = conditions.told(), conditions.flown()
     seeds, ports = trials(per_port=options.flights, seed=options.seed)
     console, figures, coasts = Console(), {}, {}
     for name in options.policies:
         source, _, planner = name.partition(", ")
         slots = min(100, len(seeds))
         with console.status(f"{name} flies {len(seeds)} times"):
-            policy = load_policy(source, config, slots, planner=planner_of(planner or "geodesic"), field=field)
-            quiet = Outages(options.outages) if options.outages else None
-            flights = fly_episodes(policy, config, seeds, ports, slots=slots, outages=quiet)
+            policy = load_policy(source, told, slots, planner=planner_of(planner or "geodesic"), field=field)
+            quiet = Outages(options.outages) if options.outages else conditions.outages
+            flights = fly_episodes(policy, flown, seeds, ports, slots=slots, outages=quiet)
             coasts[name] = coasts_of(flights, field)
             scores = score(add_coasts(flights, field))
         figures[name] = {
@@ -79,7 +84,7 @@ def main() -> None:
         }
         save_figure(front_figure(rows), options.pictures / "safety_front.png", dpi=100)
         save_figure(coast_figure(coasts), options.pictures / "safety_coasts.png", dpi=100)
-    print(json.dumps(figures))
+    print(json.dumps({options.condition: figures}))
 
 
 if __name__ == "__main__":

@@ -56,6 +56,8 @@ class Structure(NamedTuple):
     """Whether thrusters are on-off."""
     longest_delay: int
     """Simulation steps of commands to keep."""
+    faulty: bool
+    """Whether thrusters may fail in flight."""
     randomized: bool
     biased: bool
     """Whether sensors have a time-correlated error."""
@@ -209,6 +211,7 @@ class DockingConfig(Frozen):
             collision_terminates=self.collision_terminates,
             on_off=chaser.thrusters == "on_off",
             longest_delay=chaser.actuation_delay + ranges.actuation_delay[1],
+            faulty=chaser.fault.active or ranges.faulty,
             randomized=ranges.active,
             biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),
             port_slots=max(len(PORT_NAMES), len(self.ports)),

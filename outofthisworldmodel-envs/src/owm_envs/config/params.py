@@ -24,6 +24,16 @@ class ChiefParams(NamedTuple):
     drag_coefficient: Float[Array, ""]
 
 
+class FaultParams(NamedTuple):
+    """What goes wrong with the thrusters, and when: s, -, -, N and N m, rad; as in `FaultConfig`."""
+
+    time: Float[Array, ""]
+    thrust_scale: Float[Array, "6"]
+    one_sided: Int[Array, "6"]
+    leak: Float[Array, "6"]
+    misalignment: Float[Array, "3"]
+
+
 class ChaserParams(NamedTuple):
     """The chaser: kg, kg m2 about body axes, m2, m, N and N m, s, simulation steps; as in `ChaserConfig`."""
 
@@ -39,6 +49,8 @@ class ChaserParams(NamedTuple):
     """At most `Structure.longest_delay`."""
     thruster_quantum: Float[Array, "6"]
     minimum_on_time: Float[Array, ""]
+    fault: FaultParams | None
+    """None unless `Structure.faulty`."""
 
 
 class BiasParams(NamedTuple):
@@ -91,6 +103,10 @@ class RandomizationParams(NamedTuple):
     misalignment: Float[Array, "2"]
     """rad."""
     actuation_delay: Int[Array, "2"]
+    fault_time: Float[Array, "2"]
+    fault_scale: Float[Array, "2"]
+    fault_misalignment: Float[Array, "2"]
+    """rad."""
     chief_elements: Float[Array, "6 2"]
     """[m, -, rad, rad, rad, rad]."""
 
@@ -171,6 +187,15 @@ def params_from_config(config: DockingConfig) -> Params:
             actuation_delay=jnp.asarray(chaser.actuation_delay, jnp.int32),
             thruster_quantum=real([chaser.thruster_force] * 3 + [chaser.thruster_torque] * 3),
             minimum_on_time=real(chaser.minimum_on_time),
+            fault=None
+            if not config.structure.faulty
+            else FaultParams(
+                time=real(chaser.fault.time),
+                thrust_scale=real(chaser.fault.thrust_scale),
+                one_sided=jnp.asarray(chaser.fault.one_sided, jnp.int32),
+                leak=real(chaser.fault.leak),
+                misalignment=real(chaser.fault.misalignment),
+            ),
         ),
         noise=NoiseParams(
             **{name: real(value) for name, value in noise if name != "bias"},
@@ -197,6 +222,9 @@ def params_from_config(config: DockingConfig) -> Params:
             thrust_scale=real(ranges.thrust_scale),
             misalignment=real(np.radians(ranges.misalignment_deg)),
             actuation_delay=jnp.asarray(ranges.actuation_delay, jnp.int32),
+            fault_time=real(ranges.fault_time),
+            fault_scale=real(ranges.fault_scale),
+            fault_misalignment=real(np.radians(ranges.fault_misalignment_deg)),
             chief_elements=real(
                 [
                     ranges.chief_semi_major_axis,

@@ -48,6 +48,7 @@ Offset = Annotated[float, within(0, 1e3)]
 Eccentricity = Annotated[float, within(-1, 1)]
 """Added to another."""
 Delay = Annotated[int, Field(ge=0, le=10_000)]
+Time = Annotated[float, within(0, 1e7)]
 Factor = Annotated[float, within(1e-3, 1e3)]
 Factors = Annotated[tuple[Factor, Factor], unit("1")]
 DegreeRange = tuple[Degrees, Degrees]
@@ -234,6 +235,36 @@ class ChiefConfig(Frozen):
         return given.isoformat().replace("+00:00", "Z")
 
 
+Side = Annotated[int, Field(ge=-1, le=1)]
+
+
+class FaultConfig(Frozen):
+    """What goes wrong with the thrusters in flight, on top of the chaser's own errors; by default nothing does."""
+
+    time: Annotated[float, within(0, 1e7), unit("s")] = 0.0
+    """Since the episode's start, when it sets in."""
+    thrust_scale: Annotated[tuple[Share, Share, Share, Share, Share, Share], unit("1")] = (1.0,) * 6
+    """What is left of each axis of the wrench; 0 for a dead one."""
+    one_sided: tuple[Side, Side, Side, Side, Side, Side] = (0,) * 6
+    """Axes that push one way only: 1 delivers no negative command, -1 no positive one, 0 both."""
+    leak: Annotated[tuple[float, float, float, float, float, float], unit("N, N m")] = (0.0,) * 6
+    """Delivered whatever is commanded, as by a jet that is stuck open; at most 10^6 either way."""
+    misalignment: Annotated[tuple[Angle, Angle, Angle], unit("rad")] = (0.0, 0.0, 0.0)
+    """Rotation vector by which the wrench is turned besides `chaser.misalignment`."""
+
+    @field_validator("leak")
+    @classmethod
+    def _bounded(cls, value):
+        if max(map(abs, value)) > 1e6:
+            raise ValueError(f"must be at most 1e6 in size, got {value}")
+        return value
+
+    @property
+    def active(self) -> bool:
+        """Whether anything ever goes wrong."""
+        return self.model_copy(update={"time": 0.0}) != FaultConfig()
+
+
 class ChaserConfig(Frozen):
     """The Dragon-class chaser and its thrusters."""
 
@@ -262,6 +293,7 @@ class ChaserConfig(Frozen):
     """Least torque of on-off thrusters about an axis."""
     minimum_on_time: Annotated[float, within(0, 1e3), unit("s")] = 0.05
     """Least length of a pulse of on-off thrusters; rounded up to whole simulation steps, at least one."""
+    fault: FaultConfig = FaultConfig()
 
     @model_validator(mode="after")
     def _thrusters_within_limits(self):
@@ -326,6 +358,12 @@ class RandomizationConfig(Frozen):
     """Angle by which the delivered wrench is turned, besides `chaser.misalignment`; isotropic axis."""
     actuation_delay: Annotated[tuple[Delay, Delay], unit("steps")] = (0, 0)
     """Whole simulation steps, both ends included."""
+    fault_time: Annotated[tuple[Time, Time], unit("s")] = (0.0, 0.0)
+    """Added to `chaser.fault.time`."""
+    fault_scale: Annotated[tuple[Share, Share], unit("1")] = (1.0, 1.0)
+    """What the fault leaves of one axis of force, which is drawn too."""
+    fault_misalignment_deg: tuple[HalfTurn, HalfTurn] = (0.0, 0.0)
+    """Angle by which the fault turns the wrench, besides `chaser.fault.misalignment`; isotropic axis."""
     chief_semi_major_axis: Annotated[tuple[Coordinate, Coordinate], unit("m")] = (0.0, 0.0)
     chief_eccentricity: Annotated[tuple[Eccentricity, Eccentricity], unit("1")] = (0.0, 0.0)
     chief_inclination_deg: DegreeRange = (0.0, 0.0)
@@ -338,6 +376,11 @@ class RandomizationConfig(Frozen):
     @classmethod
     def _low_then_high(cls, value):
         return value if isinstance(value, CameraRanges) else low_then_high(value)
+
+    @property
+    def faulty(self) -> bool:
+        """Whether a fault is drawn."""
+        return self.fault_scale != (1.0, 1.0) or self.fault_misalignment_deg != (0.0, 0.0)
 
     @property
     def active(self) -> bool:

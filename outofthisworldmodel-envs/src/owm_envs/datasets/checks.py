@@ -44,8 +44,12 @@ class Limits(NamedTuple):
         if config is None:
             return cls()
         chaser, ranges = config.chaser, config.randomization
+        fault = chaser.fault
         scale = max(map(abs, chaser.thrust_scale)) * max(map(abs, ranges.thrust_scale))
-        force, torque = (3**0.5 * scale * limit for limit in (chaser.force_limit, chaser.torque_limit))
+        scale *= max(1.0, max(map(abs, fault.thrust_scale)) * max(map(abs, ranges.fault_scale)))
+        leaks = max(map(abs, fault.leak[:3])), max(map(abs, fault.leak[3:]))
+        limits = chaser.force_limit, chaser.torque_limit
+        force, torque = (3**0.5 * (scale * limit + leak) for limit, leak in zip(limits, leaks))
         return cls(
             chaser.force_limit,
             chaser.torque_limit,

@@ -48,7 +48,7 @@ def step_errors(episodes: Iterable[Columns], config: DockingConfig) -> Float[np.
     Args:
         episodes: columns of each.
     """
-    if "vehicle" in drawable(config):
+    if {"vehicle", "fault"} & set(drawable(config)):
         return None
     with own_flags():
         env = DockingEnv(config.model_copy(update={"observation": "state", "camera": type(config.camera)()}))
@@ -76,7 +76,8 @@ def step_errors(episodes: Iterable[Columns], config: DockingConfig) -> Float[np.
 @partial(jax.jit, static_argnames="env")
 def _steps(env, params, epoch, truth, action):
     """Where each row is after a decision with its action: a loop over the rows, as actuators remember."""
-    at_rest = actuators_at_rest(env.structure.longest_delay, env.structure.on_off, truth.dtype)
+    structure = env.structure
+    at_rest = actuators_at_rest(structure.longest_delay, structure.on_off, structure.faulty, truth.dtype)
 
     def decide(actuators, row):
         epoch, view, wrench = row

@@ -19,7 +19,7 @@ from owm_envs.task.collision import Clearance, advance_clearance, clearance_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
 from owm_envs.task.navigation import RelativeNavigation, advance_bias, goal_error, start_bias
 from owm_envs.task.observation import ObservationLayout
-from owm_envs.task.randomization import Drawn, draw, drawn_anew, episode_params
+from owm_envs.task.randomization import Drawn, draw, drawn_anew, episode_params, named_draws
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
 from owm_envs.task.selected import apply_where
@@ -215,7 +215,8 @@ class DockingEnv:
         """What the configured ranges leave to each episode; None if they leave nothing."""
         if not self.structure.randomized:
             return None
-        return draw(params.randomization, key=named_key(episode_key, "randomization"))
+        faulty = self.structure.faulty
+        return draw(params.randomization, faulty=faulty, key=named_key(episode_key, "randomization"))
 
     def place(
         self,
@@ -245,7 +246,9 @@ class DockingEnv:
             collided=clearance.now <= 0,
             clearance=clearance,
             closest=Closest(*error_norms(error), jnp.copy(physics.elapsed)),
-            actuators=actuators_at_rest(self.structure.longest_delay, self.structure.on_off, start.view.dtype),
+            actuators=actuators_at_rest(
+                self.structure.longest_delay, self.structure.on_off, self.structure.faulty, start.view.dtype
+            ),
             bias=bias,
             drawn=drawn,
             looks=own_draws(self.sensors, params, key=named_key(episode_key, "looks")),
@@ -362,7 +365,7 @@ class DockingEnv:
             "clearance": state.clearance.least,
             **{f"closest_{name}": value for name, value in state.closest._asdict().items()},
             **{age_name(sensor): state.measured[age_name(sensor)] for sensor in self.sensors if is_costly(sensor)},
-            **({} if state.drawn is None else {f"drawn_{k}": v for k, v in state.drawn._asdict().items()}),
+            **({} if state.drawn is None else {f"drawn_{k}": v for k, v in named_draws(state.drawn).items()}),
             **{f"drawn_{n}_{k}": v for n, look in state.looks.items() for k, v in look._asdict().items()},
         }
 

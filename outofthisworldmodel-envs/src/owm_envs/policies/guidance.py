@@ -31,6 +31,8 @@ _CORRIDOR = 5.0
 """m before the hold pose, where the last leg begins; its width is 0.6 m, and 0.4 m more a metre out."""
 _CONTACT = 0.078
 """m/s: the closing speed at contact. The docking standard asks for 0.05 to 0.10 m/s."""
+_CLOSING_TIME = 13.0
+"""s, of the last leg."""
 
 
 def _fan(count: int, widest: float = 1.5) -> Float[np.ndarray, "K 3"]:
@@ -53,12 +55,16 @@ class Goal(NamedTuple):
         port: its row of the port, -1 where it has none.
         pose: hold pose: m, quaternion body to station.
         drift: for the safe approach, from `drift_beside`.
+        pace: share of the usual speeds, for a vehicle that answers slowly.
+        steady: m before the hold pose, from where on the closing speed is that at contact.
     """
 
     field: GeodesicField
     port: Int[Array, ""]
     pose: Float[Array, "7"]
     drift: Float[Array, "T 3 6"] | None = None
+    pace: Float[Array, ""] | float = 1.0
+    steady: Float[Array, ""] | float = _CONTACT * _CLOSING_TIME
 
 
 def drift_beside(semi_major_axis: float) -> Float[np.ndarray, "T 3 6"]:
@@ -98,10 +104,11 @@ def safe_velocity(goal: Goal, position: Float[Array, "3"], velocity: Float[Array
     speed, gradient, gap = field_speed(goal.field, goal.port, position)
     lacking = jnp.isnan(speed)
     away = safe_norm(position - goal.pose[:3].astype(position.dtype))
-    speed = jnp.minimum(speed, jnp.minimum(0.25 + 0.15 * jnp.maximum(gap, 0), 0.1 + away / 13.0))
+    speed = goal.pace * jnp.minimum(speed, jnp.minimum(0.25 + 0.15 * jnp.maximum(gap, 0), 0.1 + away / 13.0))
     down = -gradient / jnp.maximum(safe_norm(gradient), 1e-6)
-    wanted = jnp.where(gap > NEAR, _passing_by(goal, position, velocity, speed, down), speed * down)
-    last, closing = _last_leg(goal.pose, position)
+    passes = (gap > NEAR) & (jnp.asarray(goal.pace) >= 1)
+    wanted = jnp.where(passes, _passing_by(goal, position, velocity, speed, down), speed * down)
+    last, closing = _last_leg(goal, position)
     return jnp.where(lacking, jnp.nan, jnp.where(last, closing, wanted))
 
 
@@ -142,9 +149,9 @@ def drift_short(goal: Goal, position: Float[Array, "3"], velocity: Float[Array, 
     return drift_shortfall(goal.field, jnp.asarray(goal.drift, dtype), margins, position, velocity)
 
 
-def _last_leg(pose: Float[Array, "7"], at: Float[Array, "3"]) -> tuple[Array, Float[Array, "3"]]:
+def _last_leg(goal: Goal, at: Float[Array, "3"]) -> tuple[Array, Float[Array, "3"]]:
     """Whether the chaser is on the last leg, and the velocity there: along the axis, and back to it."""
-    pose = pose.astype(at.dtype)
+    pose = goal.pose.astype(at.dtype)
     position, attitude = pose[:3], pose[3:]
     outwards = -quat_rotate(attitude, jnp.asarray([0.0, 0.0, 1.0], position.dtype))
     offset = at - position
@@ -153,8 +160,10 @@ def _last_leg(pose: Float[Array, "7"], at: Float[Array, "3"]) -> tuple[Array, Fl
     lateral = safe_norm(aside)
     ahead = jnp.maximum(axial, 0)
     on_it = (safe_norm(offset) < _CORRIDOR) & (lateral < 0.6 + 0.4 * ahead)
-    closing = jnp.clip(jnp.abs(axial) / 13.0, _CONTACT, 0.6)
+    closing = jnp.clip(_CONTACT + goal.pace * (jnp.abs(axial) - goal.steady) / _CLOSING_TIME, _CONTACT, 0.6)
+    aimed = -closing * offset / jnp.maximum(safe_norm(offset), 0.1)
     closing = closing * jnp.clip(1.5 - lateral / (0.15 + 0.12 * ahead), -0.3, 1.0)
     closing = jnp.where(axial < -0.05, -0.05, closing)
     back = jnp.minimum(lateral / 4.0, 0.3)
-    return on_it, -closing * outwards - back * aside / jnp.maximum(lateral, 1e-6)
+    centred = -closing * outwards - back * aside / jnp.maximum(lateral, 1e-6)
+    return on_it, jnp.where(jnp.asarray(goal.pace) < 1, aimed, centred)

@@ -1,4 +1,4 @@
-"""What the thrusters make of a commanded wrench: late, in pulses, scaled and turned, as configured.
+"""What the thrusters make of a commanded wrench: late, in pulses, scaled and turned, failing in flight, as configured.
 
 On-off thrusters deliver along each body axis a whole number of quanta, kept for at least the minimum on-time. Each
 axis remembers the impulse it still owes. Whenever its last pulse is over, it chooses the level that would settle the
@@ -18,7 +18,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_from_rotation_vector, quat_rotate
-from owm_envs.config.params import ChaserParams
+from owm_envs.config.params import ChaserParams, FaultParams
 
 
 class Pulses(NamedTuple):
@@ -33,17 +33,21 @@ class Pulses(NamedTuple):
 
 
 class ActuatorState(NamedTuple):
-    """Commands still on their way, oldest first, and the pulses of on-off thrusters, None without."""
+    """What the thrusters carry from one simulation step to the next."""
 
     queue: Float[Array, "D 6"]
+    """Commands still on their way, oldest first."""
     pulses: Pulses | None
+    """Of on-off thrusters, None without."""
+    elapsed: Float[Array, ""] | None
+    """s since the episode's start; None where nothing ever fails."""
 
 
-def actuators_at_rest(longest_delay: int, on_off: bool, dtype: DTypeLike) -> ActuatorState:
+def actuators_at_rest(longest_delay: int, on_off: bool, faulty: bool, dtype: DTypeLike) -> ActuatorState:
     """No command on its way for up to `longest_delay` simulation steps, no pulse begun."""
     none = jnp.zeros(6, dtype)
     pulses = Pulses(none, none, jnp.zeros(6, jnp.int32)) if on_off else None
-    return ActuatorState(jnp.zeros((longest_delay, 6), dtype), pulses)
+    return ActuatorState(jnp.zeros((longest_delay, 6), dtype), pulses, jnp.zeros((), dtype) if faulty else None)
 
 
 def deliver(
@@ -64,10 +68,23 @@ def deliver(
     if pulses is not None:
         pulses = _pulse(chaser, pulses, wrench, dt)
         wrench = pulses.level * chaser.thruster_quantum
-    turn = quat_from_rotation_vector(chaser.misalignment)
-    scaled = wrench * chaser.thrust_scale
-    delivered = jnp.concatenate([quat_rotate(turn, scaled[:3]), quat_rotate(turn, scaled[3:])])
-    return ActuatorState(queue, pulses), delivered
+    delivered, elapsed = wrench * chaser.thrust_scale, state.elapsed
+    if chaser.fault is not None:
+        # A step in which the fault sets in counts as one before it.
+        delivered = jnp.where(elapsed >= chaser.fault.time, _failed(chaser.fault, delivered), delivered)
+        elapsed = elapsed + dt
+    return ActuatorState(queue, pulses, elapsed), _turned(delivered, chaser.misalignment)
+
+
+def _turned(wrench: Float[Array, "6"], by: Float[Array, "3"]) -> Float[Array, "6"]:
+    turn = quat_from_rotation_vector(by)
+    return jnp.concatenate([quat_rotate(turn, wrench[:3]), quat_rotate(turn, wrench[3:])])
+
+
+def _failed(fault: FaultParams, wrench: Float[Array, "6"]) -> Float[Array, "6"]:
+    """What a fault leaves of a wrench."""
+    wrench = jnp.where(wrench * fault.one_sided < 0, 0, wrench) * fault.thrust_scale
+    return _turned(wrench + fault.leak, fault.misalignment)
 
 
 def _pulse(chaser: ChaserParams, pulses: Pulses, command: Float[Array, "6"], dt: Float[Array, ""]) -> Pulses:

@@ -18,12 +18,23 @@ ELEMENTS = ("semi-major axis", "eccentricity", "inclination", "raan", "argument 
 
 VARIATIONS: dict[str, tuple[str, ...]] = {
     "vehicle": ("mass_scale", "inertia_scale", "thrust_scale", "misalignment", "actuation_delay"),
+    "fault": ("fault",),
     "orbit": ("chief_elements",),
     "light": ("sun_scale", "earthshine_scale", "lamp_scale"),
     "camera": ("exposure", "offset", "tilt", "field_scale"),
     "material": ("albedo_scale",),
 }
 """What may be drawn anew at a reset by itself: fields of `Drawn` and of what sensors draw."""
+
+
+class DrawnFault(NamedTuple):
+    """What a fault has of its own in one episode; the time is added to the configured one, the factors multiply."""
+
+    time: Float[Array, ""]
+    """s."""
+    thrust_scale: Float[Array, "6"]
+    misalignment: Float[Array, "3"]
+    """Rotation vector, rad."""
 
 
 class Drawn(NamedTuple):
@@ -40,24 +51,38 @@ class Drawn(NamedTuple):
     """Simulation steps."""
     chief_elements: Float[Array, "6"]
     """[m, -, rad, rad, rad, rad]."""
+    fault: DrawnFault | None
+    """None where thrusters never fail."""
 
 
-def draw(ranges: RandomizationParams, *, key: Key[Array, ""]) -> Drawn:
-    """Draw one episode's numbers, uniformly within `ranges`, each under a key of its own."""
+def draw(ranges: RandomizationParams, *, faulty: bool = False, key: Key[Array, ""]) -> Drawn:
+    """Draw one episode's numbers, uniformly within `ranges`, each under a key of its own; of a fault only if asked."""
     dtype = ranges.mass_scale.dtype
 
     def uniform(name, bounds, shape=()):
         return jax.random.uniform(named_key(key, name), shape, dtype, bounds[0], bounds[1])
+
+    def turn(name, bounds):
+        return uniform(name, bounds) * isotropic(named_key(key, f"{name} axis"), dtype)
+
+    def fault():
+        axis = jax.random.randint(named_key(key, "fault axis"), (), 0, 3)
+        left = uniform("fault scale", ranges.fault_scale)
+        return DrawnFault(
+            time=uniform("fault time", ranges.fault_time),
+            thrust_scale=jnp.where(jnp.arange(6) == axis, left, jnp.ones((), dtype)),
+            misalignment=turn("fault misalignment", ranges.fault_misalignment),
+        )
 
     delay = ranges.actuation_delay
     return Drawn(
         mass_scale=uniform("mass", ranges.mass_scale),
         inertia_scale=uniform("inertia", ranges.inertia_scale, (3,)),
         thrust_scale=uniform("thrust", ranges.thrust_scale, (6,)),
-        misalignment=uniform("misalignment", ranges.misalignment)
-        * isotropic(named_key(key, "misalignment axis"), dtype),
+        misalignment=turn("misalignment", ranges.misalignment),
         actuation_delay=jax.random.randint(named_key(key, "delay"), (), delay[0], delay[1] + 1, jnp.int32),
         chief_elements=jnp.stack([uniform(f"chief {n}", r) for n, r in zip(ELEMENTS, ranges.chief_elements)]),
+        fault=fault() if faulty else None,
     )
 
 
@@ -65,8 +90,13 @@ def episode_params(params: Params, drawn: Drawn | None) -> Params:
     """The numbers of one episode: `params` as they are when nothing is drawn."""
     if drawn is None:
         return params
-    chaser, chief = params.chaser, params.chief
-    turn = quat_multiply(quat_from_rotation_vector(chaser.misalignment), quat_from_rotation_vector(drawn.misalignment))
+    chaser, chief, fault = params.chaser, params.chief, params.chaser.fault
+    if drawn.fault is not None:
+        fault = fault._replace(
+            time=fault.time + drawn.fault.time,
+            thrust_scale=fault.thrust_scale * drawn.fault.thrust_scale,
+            misalignment=_one_turn(fault.misalignment, drawn.fault.misalignment),
+        )
     root = jnp.sqrt(drawn.inertia_scale)
     return params._replace(
         chaser=chaser._replace(
@@ -74,11 +104,24 @@ def episode_params(params: Params, drawn: Drawn | None) -> Params:
             # Both sides, so that an inertia with products stays symmetric and positive definite.
             inertia=root[:, None] * chaser.inertia * root[None],
             thrust_scale=chaser.thrust_scale * drawn.thrust_scale,
-            misalignment=quat_to_rotation_vector(turn),
+            misalignment=_one_turn(chaser.misalignment, drawn.misalignment),
             actuation_delay=chaser.actuation_delay + drawn.actuation_delay,
+            fault=fault,
         ),
         chief=chief._replace(elements=chief.elements + drawn.chief_elements),
     )
+
+
+def _one_turn(first: Float[Array, "3"], second: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The rotation vector of the product of two."""
+    return quat_to_rotation_vector(quat_multiply(*map(quat_from_rotation_vector, (first, second))))
+
+
+def named_draws(drawn: Drawn) -> dict[str, Array]:
+    """Every draw by its name, those of a fault as `fault_time` and so on."""
+    named = drawn._asdict()
+    fault = named.pop("fault")
+    return named | ({} if fault is None else {f"fault_{name}": value for name, value in fault._asdict().items()})
 
 
 def drawable(config: DockingConfig) -> list[str]:
@@ -92,6 +135,7 @@ def drawable(config: DockingConfig) -> list[str]:
     given, default = flat(config.randomization), flat(RandomizationConfig())
     moved = {name for name in given if given[name] != default[name]}
     moved = {"chief_elements" if name.startswith("chief_") else name for name in moved}
+    moved = {"fault" if name.startswith("fault_") else name for name in moved}
     return [group for group, fields in VARIATIONS.items() if moved & set(fields)]
 
 
@@ -104,5 +148,9 @@ def drawn_anew(fresh: Any, before: Any, anew: Mapping[str, Bool[Array, ""]]) -> 
     if fresh is None:
         return None
     of = {field: group for group, fields in VARIATIONS.items() for field in fields}
-    kept = {name: jnp.where(anew[of[name]], new, getattr(before, name)) for name, new in fresh._asdict().items()}
-    return fresh._replace(**kept)
+
+
+    def choose(name, new, old):
+        return jax.tree.map(lambda a, b: jnp.where(anew[of[name]], a, b), new, old)
+
+    return fresh._replace(**{name: choose(name, new, getattr(before, name)) for name, new in fresh._asdict().items()})

@@ -86,8 +86,22 @@ def _chaser(what: str, **values: Any) -> Condition:
     return Condition(what, hidden={"chaser": values})
 
 
+def _failing(what: str, randomization: dict[str, Any] | None = None, **fault: Any) -> Condition:
+    """Thrusters fail; there is more time to dock."""
+    hidden = {"horizon": 1200.0, "chaser": {"fault": fault}, "randomization": randomization or {}}
+    return Condition(what, hidden=hidden)
+
+
+def _dead(axis: int) -> tuple[float, ...]:
+    return tuple(0.0 if i == axis else 1.0 for i in range(6))
+
+
 def _scaled(factor: float) -> tuple[float, ...]:
     return tuple(factor * moment for moment in _CHASER.inertia)
+
+
+def _turn(by_deg: float) -> tuple[float, ...]:
+    return tuple((np.radians(by_deg) * _AXIS).tolist())
 
 
 _BIAS = {
@@ -109,7 +123,7 @@ CONDITIONS: dict[str, Condition] = {
     "weak axis": _chaser("70 % thrust along the nose's axis, which brakes", thrust_scale=(1, 1, 0.7, 1, 1, 1)),
     "misaligned": _chaser(
         "thrust and torque turned by 5 deg about body (1, 1, 1)",
-        misalignment=tuple((np.radians(5.0) * _AXIS).tolist()),
+        misalignment=_turn(5.0),
     ),
     "on-off": _chaser(
         "on-off thrusters: multiples of 400 N and 500 N m, pulses of 50 ms at least",
@@ -130,6 +144,26 @@ CONDITIONS: dict[str, Condition] = {
         )
         for seconds in (1.0, 5.0, 10.0, 30.0)
     },
+    "turned by 30 deg": _failing("thrust and torque turned by 30 deg about body (1, 1, 1)", misalignment=_turn(30.0)),
+    "turned by 45 deg": _failing("thrust and torque turned by 45 deg about body (1, 1, 1)", misalignment=_turn(45.0)),
+    "tumbling": Condition("starts at up to 60 deg/s", hidden={"reset": {"rate": np.radians(60.0)}}),
+    **{
+        f"force {name} dead": _failing(f"no force along body {name}, from the start", thrust_scale=_dead(axis))
+        for axis, name in enumerate("xyz")
+    },
+    "torque z dead": _failing("no torque about the nose's axis, from the start", thrust_scale=_dead(5)),
+    "one-sided": _failing("no force along negative body y", one_sided=(0, 1, 0, 0, 0, 0)),
+    "leak": _failing(
+        "a jet stuck open: 400 N along body y, 400 N m about z", leak=(0.0, 400.0, 0.0, 0.0, 0.0, 400.0)
+    ),
+    "thruster fails": _failing(
+        "20 to 90 s into the flight one axis of force falls to 0 to 40 %",
+        {"fault_time": (20.0, 90.0), "fault_scale": (0.0, 0.4)},
+    ),
+    "thrust turns": _failing(
+        "20 to 90 s into the flight thrust and torque turn by 10 to 45 deg",
+        {"fault_time": (20.0, 90.0), "fault_misalignment_deg": (10.0, 45.0)},
+    ),
     "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
 }
 CONDITIONS |= {
