@@ -31,8 +31,8 @@ _CORRIDOR = 5.0
 """m before the hold pose, where the last leg begins; its width is 0.6 m, and 0.4 m more a metre out."""
 _CONTACT = 0.078
 """m/s: the closing speed at contact. The docking standard asks for 0.05 to 0.10 m/s."""
-_CLOSING_TIME = 13.0
-"""s, of the last leg."""
+_CLOSING_TIME, _CENTRING_TIME = 13.0, 4.0
+"""s, of the last leg, along and across the port's axis."""
 
 
 def _fan(count: int, widest: float = 1.5) -> Float[np.ndarray, "K 3"]:
@@ -57,6 +57,7 @@ class Goal(NamedTuple):
         drift: for the safe approach, from `drift_beside`.
         pace: share of the usual speeds, for a vehicle that answers slowly.
         steady: m before the hold pose, from where on the closing speed is that at contact.
+        gate: m before the hold pose, where to wait.
     """
 
     field: GeodesicField
@@ -65,6 +66,7 @@ class Goal(NamedTuple):
     drift: Float[Array, "T 3 6"] | None = None
     pace: Float[Array, ""] | float = 1.0
     steady: Float[Array, ""] | float = _CONTACT * _CLOSING_TIME
+    gate: Float[Array, ""] | float = -10.0
 
 
 def drift_beside(semi_major_axis: float) -> Float[np.ndarray, "T 3 6"]:
@@ -161,9 +163,12 @@ def _last_leg(goal: Goal, at: Float[Array, "3"]) -> tuple[Array, Float[Array, "3
     ahead = jnp.maximum(axial, 0)
     on_it = (safe_norm(offset) < _CORRIDOR) & (lateral < 0.6 + 0.4 * ahead)
     closing = jnp.clip(_CONTACT + goal.pace * (jnp.abs(axial) - goal.steady) / _CLOSING_TIME, _CONTACT, 0.6)
-    aimed = -closing * offset / jnp.maximum(safe_norm(offset), 0.1)
-    closing = closing * jnp.clip(1.5 - lateral / (0.15 + 0.12 * ahead), -0.3, 1.0)
+    held_back = jnp.clip(1.5 - lateral / (0.15 + 0.12 * ahead), -0.3, 1.0)
+    closing = closing * jnp.where(jnp.asarray(goal.pace) < 1, jnp.maximum(held_back, 0.2), held_back)
     closing = jnp.where(axial < -0.05, -0.05, closing)
-    back = jnp.minimum(lateral / 4.0, 0.3)
-    centred = -closing * outwards - back * aside / jnp.maximum(lateral, 1e-6)
-    return on_it, jnp.where(jnp.asarray(goal.pace) < 1, aimed, centred)
+    closing = jnp.minimum(closing, jnp.maximum((axial - goal.gate) / _CLOSING_TIME, -0.05))
+    # Who answers slowly aims for the goal, so that no more has to be changed on the way.
+    least = jnp.where(jnp.asarray(goal.gate) > 0, _CLOSING_TIME, _CENTRING_TIME)
+    time = jnp.where(jnp.asarray(goal.pace) < 1, jnp.maximum(ahead / _CONTACT, least), _CENTRING_TIME)
+    back = jnp.minimum(lateral / time, 0.3)
+    return on_it, -closing * outwards - back * aside / jnp.maximum(lateral, 1e-6)

@@ -39,6 +39,11 @@ def is_crippled(missing: Float[Array, "3 3"]) -> Bool[Array, ""]:
     return jnp.max(jnp.diag(missing)) > 0.5
 
 
+def is_turned(view: Float[Array, "13"], pose: Float[Array, "7"]) -> Bool[Array, ""]:
+    """Whether a view has the port's attitude to within 10 deg."""
+    return jnp.abs(jnp.sum(pose[3:] * View.of(view).attitude)) > 0.996
+
+
 def facing(
     missing: Float[Array, "3 3"], view: Float[Array, "13"], pose: Float[Array, "7"], path: Float[Array, "T+1 6"]
 ) -> Float[Array, "4"]:
@@ -66,8 +71,7 @@ def facing(
     soon = 0.5 ** jnp.arange(len(changes), dtype=path.dtype)
     costs = soon @ (changes @ out.T) ** 2
     now = jnp.argmax(jnp.abs(choices @ attitude))
-    turned = jnp.abs(jnp.sum(pose[3:] * attitude)) > 0.996  # 10 deg
-    tolerated = _tolerated(position - pose[:3], velocity, out[0], turned)
+    tolerated = _tolerated(position - pose[:3], velocity, out[0], is_turned(view, pose))
     costs = costs + jnp.stack([jnp.zeros_like(tolerated), tolerated**2])
     costs = costs * jnp.where(jnp.arange(2) == now, _STAYING, 1)
     return jnp.where(is_crippled(missing), choices[jnp.argmin(costs)], pose[3:])

@@ -20,7 +20,7 @@ from owm.planning import corrector
 from owm.planning.config import Shape, Tuning
 from owm.planning.cost import sequence_cost
 from owm.planning.effect import Effect, authority, coasting_wrench, effect_of, no_effect, wrench_for
-from owm.planning.facing import facing, is_crippled, missing_forces
+from owm.planning.facing import facing, is_crippled, is_turned, missing_forces
 from owm.planning.reference import safe_reference
 from owm.planning.sampler import sample_candidates
 from owm.planning.update import average, candidate_weights, shifted
@@ -34,8 +34,10 @@ _SHARE = 0.9
 """Of what the thrusters can do: what the safe approach is to ask of them."""
 
 
-_CRIPPLED, _CRIPPLED_RATE = {"pace": 0.2, "steady": 4.0}, 0.1
+_CRIPPLED, _CRIPPLED_RATE = {"pace": 0.16, "steady": 6.0}, 0.1
 """Of `Goal`, where an axis of force is out and every other push waits for a turn; and rad/s to turn at."""
+_GATE = 1.2
+"""m before the hold pose, where a crippled vehicle waits until it has the port's attitude, if it can brake in both."""
 
 
 _FACING, _IN_A_TURN = 0.99, 0.05
@@ -125,6 +127,8 @@ def plan(
         rate = jnp.where(crippled, _CRIPPLED_RATE, tuning.weights.top_rate)
         tuning = tuning._replace(weights=tuning.weights._replace(top_rate=rate))
         goal = goal._replace(**{name: jnp.where(crippled, x, getattr(goal, name)) for name, x in _CRIPPLED.items()})
+        waits = crippled & (missing[2, 2] < 0.5) & ~is_turned(measured, goal.pose)
+        goal = goal._replace(gate=jnp.where(waits, _GATE, goal.gate))
         path = safe_reference(goal, measured, steps, model.dt, able)[shape.latency :]
         held = facing(missing, measured, goal.pose, path)
         goal = goal._replace(pose=goal.pose.at[3:].set(held))
