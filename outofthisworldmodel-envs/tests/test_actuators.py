@@ -116,6 +116,45 @@ def test_commands_arrive_late_by_whole_steps_and_scaled(fly, delay, on_off):
     np.testing.assert_allclose(wrench, late * scale, rtol=1e-12)
 
 
+AFTER = np.arange(STEPS) * DT >= 2.0
+FAULTS = {
+    "a dead axis": ({"thrust_scale": (0.0,) + (1.0,) * 5}, lambda w: w * [0, 1, 1, 1, 1, 1]),
+    "one-sided": ({"one_sided": (0, 1, -1, 0, 0, 0)}, lambda w: np.where(w * [0, 1, -1, 0, 0, 0] < 0, 0, w)),
+    "a leak": ({"leak": (0.0, 300.0, 0.0, 0.0, 0.0, 50.0)}, lambda w: w + [0, 300, 0, 0, 0, 50]),
+    "a quarter turn about z": (
+        {"misalignment": (0.0, 0.0, np.pi / 2)},
+        lambda w: np.stack([-w[:, 1], w[:, 0], w[:, 2], -w[:, 4], w[:, 3], w[:, 5]], axis=1),
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_thrusters_fail_when_their_time_has_come_and_not_before(fault):
+    given, left = FAULTS[fault]
+    config = load_config(chaser={"thrust_scale": (0.9,) * 6, "fault": {"time": 2.0} | given})
+    wanted = np.random.default_rng(0).uniform(-1, 1, (STEPS, 6)) * LIMIT
+    with jax.enable_x64(True):
+        chaser, at_rest = params_from_config(config).chaser, actuators_at_rest(0, False, True, jnp.float64)
+        run = jax.jit(lambda w: jax.lax.scan(lambda s, x: deliver(chaser, s, x, jnp.asarray(DT)), at_rest, w)[1])
+        delivered = np.asarray(run(jnp.asarray(wanted)))
+    np.testing.assert_allclose(delivered, np.where(AFTER[:, None], left(0.9 * wanted), 0.9 * wanted), atol=1e-9)
+
+
+def test_only_who_may_fail_keeps_a_clock():
+    for config, faulty in (
+        ({}, False),
+        ({"chaser": {"fault": {"time": 5.0}}}, False),
+        ({"chaser": {"fault": {"leak": (1.0, 0, 0, 0, 0, 0)}}}, True),
+        ({"randomization": {"fault_scale": (0.0, 0.4)}}, True),
+        ({"randomization": {"fault_time": (0.0, 9.0)}}, False),
+    ):
+        assert load_config(config).structure.faulty is faulty
+    with pytest.raises(ValueError, match=r"chaser\.fault\.leak: must be at most 1e6 in size"):
+        load_config(chaser={"fault": {"leak": (0.0, 2e6, 0.0, 0.0, 0.0, 0.0)}})
+    with pytest.raises(ValueError, match="one_sided"):
+        load_config(chaser={"fault": {"one_sided": (2, 0, 0, 0, 0, 0)}})
+
+
 def test_proportional_thrusters_without_delay_keep_no_state():
     assert sum(leaf.size for leaf in jax.tree.leaves(actuators_at_rest(0, False, False, jnp.float32))) == 0
 

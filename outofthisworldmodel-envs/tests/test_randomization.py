@@ -233,3 +233,47 @@ def test_only_the_longest_delay_is_a_size(delay, extra, same):
 def test_mistakes_are_named(ranges, message):
     with pytest.raises(ValueError, match=message):
         load_config(randomization=ranges)
+
+
+FAULTS = {"fault_time": (20.0, 90.0), "fault_scale": (0.0, 0.4), "fault_misalignment_deg": (10.0, 45.0)}
+
+
+def test_faults_are_drawn_within_their_ranges():
+    with jax.enable_x64(True):
+        ranges = params_from_config(load_config(randomization=FAULTS)).randomization
+        keys = jax.random.split(jax.random.key(0), 2000)
+        drawn = jax.device_get(jax.jit(jax.vmap(lambda key: draw(ranges, faulty=True, key=key)))(keys))
+    fault = drawn.fault
+    assert np.all(fault.thrust_scale[:, 3:] == 1)
+    axis = fault.thrust_scale[:, :3].argmin(axis=1)
+    assert np.bincount(axis).min() > 500
+    for values, name in (
+        (fault.time, "fault_time"),
+        (fault.thrust_scale.min(axis=1), "fault_scale"),
+        (np.degrees(np.linalg.norm(fault.misalignment, axis=1)), "fault_misalignment_deg"),
+    ):
+        low, high = FAULTS[name]
+        assert low <= values.min() < low + 0.05 * (high - low) and high - 0.05 * (high - low) < values.max() <= high
+    assert np.sum(fault.thrust_scale[:, :3] != 1) == 2000, "one axis in each episode"
+
+
+def test_an_episode_fails_as_one_configured_to_what_was_drawn(x64, docking):
+    """Against the environment without randomisation, configured to the drawn fault."""
+    base = {"time": 0.2, "misalignment": (0.0, 0.0, 0.1)}
+    ranges = FAULTS | {"fault_time": (0.1, 0.1)}
+    _, params, reset, step = docking(fidelity="iss", chaser={"fault": base}, randomization=ranges)
+    state, _ = reset(params, key=jax.random.key(5))
+    mine = episode_params(params, jax.device_get(state.drawn)).chaser.fault
+    assert float(mine.time) == pytest.approx(0.3)
+    told = {name: np.asarray(getattr(mine, name)).tolist() for name in ("time", "thrust_scale", "misalignment")}
+    _, fixed, reset_plain, step_plain = docking(fidelity="iss", chaser={"fault": told})
+    expected, _ = reset_plain(fixed, key=jax.random.key(5))
+    sound = expected
+    for count in range(12):
+        state, _ = step(params, state, PUSH)
+        expected, _ = step_plain(fixed, expected, PUSH)
+        np.testing.assert_allclose(state.view, expected.view, rtol=0, atol=1e-9)
+        if count == 5:
+            sound = state
+    changed = View.of(state.view).velocity - View.of(sound.view).velocity
+    assert np.abs(changed).max() > 1e-3

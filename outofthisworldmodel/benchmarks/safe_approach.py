@@ -4,11 +4,11 @@ python benchmarks/safe_approach.py                                # 25 flights t
 python benchmarks/safe_approach.py --flights 3 --policies dock-safe
 python benchmarks/safe_approach.py --pictures docs/results/figures
 python benchmarks/safe_approach.py --flights 3 --seed 11 --outages 10         # quiet for 10 s, again and again
-python benchmarks/safe_approach.py --flights 2 --condition "force x dead"
+python benchmarks/safe_approach.py --flights 2 --conditions "force x dead" leak
 
 Every policy flies the same starts, in `iss-numerical` with cooperative noise unless a condition of
 `owm.study.conditions` says otherwise; after a model stands how it is planned
-with. The last line is all figures as JSON.
+with. Each table is followed by its figures as JSON.
 """
 
 import argparse
@@ -20,58 +20,64 @@ from rich.table import Table
 
 from owm.catalogue.policies import load_policy
 from owm.report.safety import coast_figure, front_figure
-from owm.scores.coasting import add_coasts, coasts_of
+from owm.scores.coasting import Coasts, add_coasts, coasts_of
 from owm.scores.docking import fly_episodes, trials
 from owm.scores.flights import score
 from owm.scores.outages import Outages
-from owm.study.conditions import condition
+from owm.study.conditions import Condition, condition
 from owm.study.matrix import planner_of
-from owm_envs.field import load_field
+from owm_envs.field import GeodesicField, load_field
 from owm_envs.figures import save_figure
 
 POLICIES = ("dock-geodesic", "ekf-mpc", "pretrained, geodesic", "pretrained, safe", "dock-safe")
 
 
+def fly(options: argparse.Namespace, name: str, flown_in: Condition, field: GeodesicField) -> tuple[dict, Coasts]:
+    """The figures of one policy under one condition, and its coasts."""
+    source, _, planner = name.partition(", ")
+    seeds, ports = trials(per_port=options.flights, seed=options.seed)
+    slots = min(100, len(seeds))
+    policy = load_policy(source, flown_in.told(), slots, planner=planner_of(planner or "geodesic"), field=field)
+    quiet = Outages(options.outages) if options.outages else flown_in.outages
+    flights = fly_episodes(policy, flown_in.flown(), seeds, ports, slots=slots, outages=quiet)
+    scores = score(add_coasts(flights, field))
+    figures = {
+        "flights": len(seeds),
+        "strict": scores["success"]["0.1 m full voided"]["count"],
+        "collided": scores["collision"]["count"],
+        "IDSS contact": scores["idss"]["count"],
+        "far coasts clear": scores["far_safe_share"],
+        "way out, near": scores["avoidable_share"],
+        "all coasts clear": scores["safe_share"],
+        "median time s": scores["median_time"],
+        "median delta-v m/s": scores["median_delta_v"],
+        "least clearance m": scores["least_clearance"],
+    }
+    return figures, coasts_of(flights, field)
+
+
 def main() -> None:
-    """Print the table."""
+    """Print a table for each condition."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=25, help="to each port")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--policies", nargs="+", default=POLICIES)
-    parser.add_argument("--condition", default="nominal")
+    parser.add_argument("--conditions", nargs="+", default=["nominal"])
     parser.add_argument("--outages", type=float, help="s for which relative navigation is quiet, again and again")
     parser.add_argument("--pictures", type=Path, help="folder to draw into")
     options = parser.parse_args()
-    conditions, field = condition(options.condition), load_field()
-    told, flown = conditions.told(), conditions.flown()
-    seeds, ports = trials(per_port=options.flights, seed=options.seed)
-    console, figures, coasts = Console(), {}, {}
-    for name in options.policies:
-        source, _, planner = name.partition(", ")
-        slots = min(100, len(seeds))
-        with console.status(f"{name} flies {len(seeds)} times"):
-            policy = load_policy(source, told, slots, planner=planner_of(planner or "geodesic"), field=field)
-            quiet = Outages(options.outages) if options.outages else conditions.outages
-            flights = fly_episodes(policy, flown, seeds, ports, slots=slots, outages=quiet)
-            coasts[name] = coasts_of(flights, field)
-            scores = score(add_coasts(flights, field))
-        figures[name] = {
-            "flights": len(seeds),
-            "strict": scores["success"]["0.1 m full voided"]["count"],
-            "collided": scores["collision"]["count"],
-            "IDSS contact": scores["idss"]["count"],
-            "far coasts clear": scores["far_safe_share"],
-            "way out, near": scores["avoidable_share"],
-            "all coasts clear": scores["safe_share"],
-            "median time s": scores["median_time"],
-            "median delta-v m/s": scores["median_delta_v"],
-            "least clearance m": scores["least_clearance"],
-        }
-    table = Table("", *options.policies)
-    for row in figures[options.policies[0]]:
-        values = (figures[name][row] for name in options.policies)
-        table.add_row(row, *("-" if value is None else f"{value:.4g}" for value in values))
-    console.print(table)
+    field, console = load_field(), Console()
+    for asked in map(condition, options.conditions):
+        figures, coasts = {}, {}
+        for name in options.policies:
+            with console.status(f"{name} flies: {asked.what}"):
+                figures[name], coasts[name] = fly(options, name, asked, field)
+        table = Table("", *options.policies, title=asked.what)
+        for row in figures[options.policies[0]]:
+            values = (figures[name][row] for name in options.policies)
+            table.add_row(row, *("-" if value is None else f"{value:.4g}" for value in values))
+        console.print(table)
+        print(json.dumps({asked.what: figures}), flush=True)
     if options.pictures:
         rows = {
             name: {
@@ -84,7 +90,6 @@ def main() -> None:
         }
         save_figure(front_figure(rows), options.pictures / "safety_front.png", dpi=100)
         save_figure(coast_figure(coasts), options.pictures / "safety_coasts.png", dpi=100)
-    print(json.dumps({options.condition: figures}))
 
 
 if __name__ == "__main__":

@@ -74,6 +74,39 @@ def test_online_least_squares_finds_another_chaser_and_keeps_what_it_is_not_show
     np.testing.assert_allclose(found.action[4, 4], NOMINAL[4, 4], rtol=1e-3)
 
 
+def test_a_change_in_flight_is_found_in_seconds_and_nothing_where_there_is_none(fit):
+    """Cooperative noise; the force along y dies after 40 s, or does not. The learner says so, and how sure it is."""
+    learner = OnlineLeastSquares(LIMIT)
+    rng = np.random.default_rng(0)
+    held = (np.repeat(rng.uniform(-0.3, 0.3, (60, 6)), 8, axis=0) * LIMIT).astype(np.float32)
+    noise = rng.normal(size=(480, 13)) * ([0.03] * 3 + [1.2e-3] * 3 + [0] * 4 + [6e-6] * 3)
+
+    @jax.jit
+    def fly(lives, noise):
+        def step(carry, given):
+            velocity, before, known = carry
+            wrench, alive, error = given
+            change = jnp.asarray(NOMINAL, jnp.float32) @ wrench * jnp.ones(6, jnp.float32).at[1].set(alive)
+            velocity = velocity + change[:3]
+            view = View(jnp.zeros(3), velocity, jnp.asarray([1.0, 0, 0, 0]), change[3:]).numbers() + error
+            known = learner.learn(known, before.at[VIEW_SLICES.rate].set(0.0), wrench, view)
+            return (velocity, view, known), learner.health(known)
+
+        start = (jnp.zeros(3), jnp.zeros(13).at[6].set(1.0), learner.init(fit))
+        return jax.lax.scan(step, start, (held, lives, noise))[1]
+
+    lives = np.where(np.arange(480) < 160, 1.0, 0.0).astype(np.float32)
+    failed, sound = (jax.device_get(fly(x, noise.astype(np.float32))) for x in (lives, np.ones_like(lives)))
+    assert not sound.changed.any() and np.abs(sound.share[100:] - 1).max() < 0.12
+    assert not failed.changed[:160].any() and failed.changed[160:].any(axis=0).tolist() == [0, 1, 0, 0, 0, 0]
+    found = np.argmax(failed.changed[:, 1])
+    assert 160 < found < 200, "within ten seconds, of commands up to three tenths"
+    share, spread = failed.share[found + 20 :, 1], failed.deviation[found + 20 :, 1]
+    assert np.abs(share).max() < 0.45 and np.abs(share[40:]).max() < 0.15
+    assert np.mean(np.abs(share) < 3 * spread) > 0.9
+    assert np.abs(np.delete(failed.share[200:], 1, axis=1) - 1).max() < 0.12
+
+
 def test_clohessy_wiltshire_steps_compose_and_drift_as_they_should():
     ahead, push = clohessy_wiltshire(RATE, 1.0)
     twice, pushed = clohessy_wiltshire(RATE, 2.0)

@@ -28,6 +28,7 @@ def fly(
     video: Path | None = None,
     camera: str = "chaser_fpv",
     planner: str = "safe",
+    condition: str = "nominal",
 ) -> None:
     """Fly a policy to a docking port and print how it went.
 
@@ -47,12 +48,14 @@ def fly(
         camera: Of the film: chaser_fpv, chaser_isometric, chaser_top, station_isometric, station_top or station_fpv.
         planner: How a model is flown: safe (drifts clear of the hull, contact as the docking standard asks) or
             geodesic (faster).
+        condition: What is wrong in flight, of which the policy is not told: heavy, leak, "force x dead", "thruster
+            fails", "thrust turns" and more.
     """
     checked_seed(seed)
     _compilation_cache()
     from owm.commands.run import fly as run
 
-    asked = {"shell": shell, "noise": noise, "fidelity": env, "planner": planner}
+    asked = {"shell": shell, "noise": noise, "fidelity": env, "planner": planner, "condition": condition}
     run(policy, port, flights=flights, seed=seed, **asked, out=out, plot=plot, video=video, camera=camera)
 
 

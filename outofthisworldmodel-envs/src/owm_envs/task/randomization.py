@@ -149,7 +149,6 @@ def drawn_anew(fresh: Any, before: Any, anew: Mapping[str, Bool[Array, ""]]) -> 
         return None
     of = {field: group for group, fields in VARIATIONS.items() for field in fields}
 
-
     def choose(name, new, old):
         return jax.tree.map(lambda a, b: jnp.where(anew[of[name]], a, b), new, old)
 

@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 from owm.model.world_model import Params
 from owm.motion.kinematics import increments, to_motion
 from owm.motion.linear import LinearMap, linear_increment
+from owm.planning.health import Health
 
 
 class Estimate(NamedTuple):
@@ -34,22 +35,7 @@ class Estimate(NamedTuple):
     changed: Bool[Array, "6"]
 
 
-class Health(NamedTuple):
-    """What is believed of a vehicle's axes.
-
-    Attributes:
-        share: of what it was fitted to do that each axis of the wrench does: 1 of a sound one, 0 of a dead one.
-        deviation: of that, one standard deviation.
-        leak: acceleration that acts whatever is commanded, beyond the fit's: m/s2 and rad/s2, body axes.
-        changed: whether the errors of its prediction showed a change in flight, by component of the leak.
-    """
-
-    share: Float[Array, "6"]
-    deviation: Float[Array, "6"]
-    leak: Float[Array, "6"]
-    changed: Bool[Array, "6"]
-
-
+_RESET = 0.1
 _EXPECTED, _MOST, _ALARM = 2.0, 12.0, 35.0
 """Of the cumulative sum of squared errors over their variance: what is taken off each, the most that one counts, and
 the alarm. Errors as expected come to it once in a million; two thirds of an axis lost at a third of its range, in
@@ -64,8 +50,8 @@ class OnlineLeastSquares:
     up (stabilised forgetting: Kulhavy and Zarrop (1993), On a general concept of forgetting, Int. J. Control 58(4)).
     Transitions are weighed by the size of the prediction errors so far, since it is not told the sensors' noise.
 
-    Where errors stay larger than they may be, the vehicle has changed: what was known of that output is worth no more
-    than the fit was at first, and forgetting leads to what is found from then on, no longer to the fit (covariance
+    Where errors stay larger than they may be, the vehicle has changed: what was known of that output is worth a tenth
+    of what the fit was at first, and forgetting leads to what is found from then on, no longer to the fit (covariance
     resetting: Goodwin and Sin (1984), Adaptive filtering, prediction and control, sec. 3.3; cumulative sum: Page
     (1954), Continuous inspection schemes, Biometrika 41).
 
@@ -125,8 +111,8 @@ class OnlineLeastSquares:
         ignorant = jax.vmap(jnp.diag)(prior)
         information = keep * known.information + (1 - keep) * ignorant
         moment = keep * known.moment + (1 - keep) * prior * anchor
-        information = jnp.where(alarm[:, None, None], ignorant, information)
-        moment = jnp.where(alarm[:, None], prior * solved, moment)
+        information = jnp.where(alarm[:, None, None], _RESET * ignorant, information)
+        moment = jnp.where(alarm[:, None], _RESET * prior * solved, moment)
         return Estimate(
             known.linear,
             information + weight[:, None, None] * jnp.outer(inputs, inputs),

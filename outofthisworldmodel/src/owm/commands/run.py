@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -17,6 +17,7 @@ from owm.data.recordings import corpus_facts, training_episodes
 from owm.data.windows import Episodes
 from owm.interface import WorldModel
 from owm.planning.config import PlannerConfig
+from owm.planning.health import AXES
 from owm.report.page import Table
 from owm.report.plots import trajectory_figure
 from owm.report.prediction import prediction_blocks
@@ -26,13 +27,14 @@ from owm.scores.docking import check_identical_starts, evaluation_config, fly_ep
 from owm.scores.flights import Flights, write_results
 from owm.scores.prediction import PredictionError, prediction_error
 from owm.study.conditions import CONDITIONS, Condition
+from owm.study.conditions import condition as condition_of
 from owm.study.matrix import Matrix, Study, planner_of, read_matrix, twice
 from owm.study.report import rows_flown, write_matrix_report
 from owm.study.run import run_matrix
 from owm.training.config import TrainConfig
 from owm_envs.adapters.gymnasium import DockingGymEnv
 from owm_envs.claims import Claim, digest
-from owm_envs.config import DockingConfig
+from owm_envs.config import DockingConfig, load_config
 from owm_envs.datasets.fetch import local_dataset
 from owm_envs.datasets.writer import recording
 from owm_envs.episode import Episode
@@ -119,6 +121,7 @@ def fly(
     video: Path | None = None,
     camera: str = "chaser_fpv",
     planner: str = "safe",
+    condition: str = "nominal",
 ) -> Flights:
     """Fly a policy to one port, print a table, and write CSV, JSON, a recording and, if asked, a picture.
 
@@ -137,9 +140,11 @@ def fly(
         video: film the first flight into this file, .mp4.
         camera: name of the film's camera.
         planner: a key of `PLANNERS`, for policies that plan with a model.
+        condition: a key of `owm.study.conditions.CONDITIONS`: what is wrong in flight, of which the policy is not told.
 
     Raises:
-        ValueError, FileNotFoundError: an unknown policy, planner, port, shell, noise preset, fidelity or camera.
+        ValueError, FileNotFoundError: an unknown policy, planner, condition, port, shell, noise preset, fidelity or
+            camera.
         ImportError: a film is asked for without PyAV.
         FolderTaken: `out` holds other flights or something else.
     """
@@ -149,7 +154,9 @@ def fly(
         from owm_envs.film import film_camera
 
         lens = film_camera(video, camera, _FILM_SIZE, port)
-    config = evaluation_config(shell, noise=noise, fidelity=fidelity)
+    wrong = condition_of(condition)
+    told = evaluation_config(shell, noise=noise, fidelity=fidelity)
+    config = load_config(told, **wrong.hidden)
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
     asked["environment"] = config.model_dump(mode="json")
@@ -167,7 +174,9 @@ def fly(
                     claim.note()  # before anything lies in the folder
                     writer.write(flights)
 
-                flown = fly_named(policy, config, seeds, ports, seed=seed, planner=variant, keep=keep)
+                flown = fly_named(
+                    policy, told, seeds, ports, seed=seed, planner=variant, keep=keep, wrong=wrong, after=_print_health
+                )
             flown.save(kept)
             claim.seal(kept.name, "episodes")
         files = write_results({flown.policy: flown}, claim.folder)
@@ -184,6 +193,18 @@ def fly(
     if (claim.folder / "episodes").is_dir():
         print(f"{claim.folder / 'episodes'}: recorded; owm-envs replay {claim.folder} shows a flight in the browser")
     return flown
+
+
+def _print_health(policy: Any) -> None:
+    """What a policy has found of its thrusters, if it looks for that."""
+    health = getattr(policy, "health", None)
+    if health is None:
+        return
+    rows = [
+        [str(flight + 1), *(f"{share:.2f} ± {2 * deviation:.2f}" for share, deviation in zip(*pair, strict=True))]
+        for flight, pair in enumerate(zip(health.share, health.deviation, strict=True))
+    ]
+    print_table(Table(["flight", *AXES], rows), "share of its thrust that each axis was found to give")
 
 
 def _film(flown: Flights, config: DockingConfig, lens: "Camera", video: Path) -> None:
@@ -213,25 +234,34 @@ def fly_named(
     planner: PlannerConfig | None = None,
     name: str | None = None,
     keep: Callable[[list[Episode]], None] | None = None,
+    wrong: Condition = CONDITIONS["nominal"],
+    after: Callable[[Any], None] | None = None,
 ) -> Flights:
     """Load a policy and fly it behind a progress bar.
 
     Args:
         policy: as `load_policy` takes it.
-        config: the environment.
+        config: the environment that the policy is told of.
         seeds, ports: as `fly_episodes` takes them.
         seed: of the policy's own draws.
         slots: most flights side by side.
         planner: of planned policies.
         name: what to call it.
         keep: as `fly_episodes` takes it.
+        wrong: what is otherwise in flight.
+        after: given the policy when it has flown.
     """
     slots = min(slots or len(seeds), len(seeds))
     announce("compiling the simulator and the policy, once: later runs find them in the cache ...")
     flown_by = load_policy(policy, config, slots, seed, planner)
     name = name or flown_by.name
     with flying(name, len(seeds), slots) as progress:
-        return fly_episodes(flown_by, config, seeds, ports, progress, slots=slots, name=name, keep=keep)
+        config, outages = load_config(config, **wrong.hidden), wrong.outages
+        told = {"slots": slots, "name": name, "keep": keep, "outages": outages}
+        flown = fly_episodes(flown_by, config, seeds, ports, progress, **told)
+    if after is not None:
+        after(flown_by)
+    return flown
 
 
 def evaluate_docking(

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-
-_DAMPING = 1e-4
+_DAMPING = 1e-5
 """Squared share of the largest effect below which an action is taken for one that does nothing."""
 
 

@@ -50,7 +50,7 @@ def facing(
     """Return the attitude to hold: the port's, or for a crippled vehicle that or a quarter turn from it.
 
     The quarter turn brings another axis to where the one points that is out. Of both it is the attitude that leaves
-    less missing of the changes of velocity on a path, up to its end or where it comes nearest to the goal.
+    less missing of the changes of velocity on a path, up to its end or the goal.
 
     Args:
         missing: from `missing_forces`.
@@ -66,7 +66,9 @@ def facing(
     choices = jnp.stack([pose[3:], quat_multiply(pose[3:], quarter)]).astype(axis.dtype)
     out = jax.vmap(quat_rotate, (0, None))(choices, axis)
     apart = path[::_BLOCK, :3] - pose[:3]
-    ahead = jnp.arange(len(apart) - 1) < jnp.argmin(jnp.sum(apart * apart, axis=1))
+    squares = jnp.sum(apart * apart, axis=1)
+    last = jnp.where(jnp.min(squares) < 1, jnp.argmin(squares), len(apart))
+    ahead = jnp.arange(len(apart) - 1) < last
     changes = jnp.where(ahead[:, None], jnp.diff(path[::_BLOCK, 3:], axis=0), 0)
     soon = 0.5 ** jnp.arange(len(changes), dtype=path.dtype)
     costs = soon @ (changes @ out.T) ** 2

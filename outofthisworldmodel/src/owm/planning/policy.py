@@ -14,6 +14,7 @@ from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
 from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
+from owm.planning.health import Health
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv, docking_env
@@ -43,6 +44,9 @@ class Learner(Protocol):
 
     def params(self, known: Any) -> PyTree:
         """The parameters to plan with."""
+
+    def health(self, known: Any) -> Health:
+        """What is believed of the vehicle's axes."""
 
 
 class SlotStates(NamedTuple):
@@ -130,6 +134,14 @@ class PlannerPolicy(SlotPolicy):
 
     def __repr__(self) -> str:
         return f"PlannerPolicy({self.name!r}, num_slots={self.num_slots}, {self.config!r})"
+
+    @property
+    def health(self) -> Health | None:
+        """What has been found of each slot's axes, (B, 6) each; None without a learner, or before the first flight."""
+        if self._learner is None or self._state is None:
+            return None
+        with own_flags(self._wide):
+            return jax.device_get(jax.vmap(self._learner.health)(self._state.known))
 
     def begin(self, count: int) -> SlotStates:
         """Every slot before its first measurement; its chunk is used up."""

@@ -153,9 +153,7 @@ CONDITIONS: dict[str, Condition] = {
     },
     "torque z dead": _failing("no torque about the nose's axis, from the start", thrust_scale=_dead(5)),
     "one-sided": _failing("no force along negative body y", one_sided=(0, 1, 0, 0, 0, 0)),
-    "leak": _failing(
-        "a jet stuck open: 400 N along body y, 400 N m about z", leak=(0.0, 400.0, 0.0, 0.0, 0.0, 400.0)
-    ),
+    "leak": _failing("a jet stuck open: 400 N along body y, 400 N m about z", leak=(0.0, 400.0, 0.0, 0.0, 0.0, 400.0)),
     "thruster fails": _failing(
         "20 to 90 s into the flight one axis of force falls to 0 to 40 %",
         {"fault_time": (20.0, 90.0), "fault_scale": (0.0, 0.4)},
