@@ -105,10 +105,11 @@ def lint(session: nox.Session) -> None:
 
 @nox.session
 def tests(session: nox.Session) -> None:
-    """Test the three packages; arguments after `--` go to pytest."""
+    """Test the three packages but for what is slow; arguments after `--` go to pytest, `-- -m slow` tests the rest."""
     _install(session, *_editable("test"), "pytest-xdist>=3.6")
     workers = f"--numprocesses={min(4, os.cpu_count() or 1)}"
-    session.run("pytest", workers, "--dist=worksteal", *session.posargs, env=_test_environment(session))
+    asked = session.posargs or ("-m", "not slow")
+    session.run("pytest", workers, "--dist=worksteal", *asked, env=_test_environment(session))
 
 
 @nox.session

@@ -40,6 +40,7 @@ def script(name: str) -> str:
     return found
 
 
+@pytest.mark.slow
 def test_the_blocks_run_in_order(tmp_path):
     # The two devices must be asked for before JAX is first used; what follows doesn't mind having them.
     together = [script("shard.py")] + [block for block in blocks() if not re.match(r"# \w+\.py\n", block)]
@@ -114,6 +115,7 @@ def test_the_front_page_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 700
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", [".", *PACKAGES])
 def test_the_code_of_a_readme_runs_block_by_block(package, tmp_path):
     # That of Stable-Baselines3 runs where that is installed: outofthisworldmodel-envs/tests_sb3.

@@ -41,6 +41,7 @@ def run(name: str, *options: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs_and_is_kept_without_outputs(tmp_path):
     notebook = nbformat.read(EXAMPLES / "tutorial.ipynb", as_version=4)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
@@ -52,6 +53,7 @@ def test_the_tutorial_runs_and_is_kept_without_outputs(tmp_path):
     assert len(pictures) == 2
 
 
+@pytest.mark.slow
 def test_shooting_docks_by_a_gradient_that_equals_finite_differences(tmp_path):
     said = run("shooting", "--fidelity", "iss", "--seconds", "45", "--iterations", "6", "--out", str(tmp_path))
     pairs = re.findall(r"reverse mode (\S+) +central difference (\S+)", said)
@@ -64,6 +66,7 @@ def test_shooting_docks_by_a_gradient_that_equals_finite_differences(tmp_path):
     assert (tmp_path / "shooting.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_pilots_learn_side_by_side_and_read_back(tmp_path):
     options = ["--fidelity", "iss", "--updates", "8", "--chunk", "4", "--envs", "64", "--horizon", "30", "--seeds", "2"]
     said = run("train_jax_ppo", *options, "--out", str(tmp_path))
@@ -87,6 +90,7 @@ def test_windows_stream_through_grain_and_are_taken_up_again(tmp_path):
     assert "3 batches" in said and said.endswith("taken up again: the same\n")
 
 
+@pytest.mark.slow
 def test_a_pilot_bootstraps_from_where_the_horizon_cut_it_off(ppo):
     env = DockingEnv(fidelity="iss", precision="float32", normalize=True, horizon=0.1)  # two decisions
     params = env.default_params()

@@ -96,6 +96,7 @@ def test_the_history_of_activity_matters_only_where_it_is_asked_for(compiled, re
     assert density[3] > 1.5 * density[1]
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_at_every_height_and_place(quick, x64):
     """In both precisions, also at the poles, the ground, below it, and where the model steps."""
     heights = np.concatenate([np.linspace(-1e3, 1.1e6, 45), [0.0, 32.5e3, 72.5e3, 123.435e3, 300e3, 450e3]])

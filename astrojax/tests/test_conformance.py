@@ -262,6 +262,7 @@ def close(actual, expected, rtol):
         np.testing.assert_allclose(a, b, rtol=0, atol=rtol * float(np.max(np.abs(b))) + 1e-300)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_values(case, quick, optimised, x64):
     """jit = eager, vmap = loop, float32 in gives float32 out (close to float64), one trace for all points."""
@@ -291,6 +292,7 @@ def test_values(case, quick, optimised, x64):
     assert len(traces) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_gradients(case, quick, x64):
     """Reverse mode = central difference in float64; finite and close to it in float32."""

@@ -132,6 +132,7 @@ def test_the_near_earth_program_equals_the_whole_one(fly, rng, x64):
     assert (np.asarray(part[2])[~near] == 8).sum() > 20
 
 
+@pytest.mark.slow
 def test_gradients_by_time_and_elements(fly, rng, x64):
     """Finite at every verification satellite; equal to central differences where the motion is smooth."""
     elements = stack_elements([s.elements for s in read_tle(VERIFICATION, check=False)])

@@ -30,6 +30,7 @@ def in_two(monkeypatch, quick):
     batch._programs.cache_clear()  # tests of other files must not get these
 
 
+@pytest.mark.slow
 def test_slots_of_a_cut_batch_equal_scalar_environments(in_two):
     env = DockingVectorEnv(SLOTS, autoreset_mode="same_step", **SHORT)
     first, _ = env.reset(seed=7)

@@ -131,6 +131,7 @@ def test_every_setting_reaches_the_sensor():
     assert inside[0] != inside[1]
 
 
+@pytest.mark.slow
 def test_frames_come_when_due_and_are_held_between(flight):
     seen, infos = flight
     frames = [one["pixels"] for one in seen]
@@ -170,6 +171,7 @@ def test_the_state_part_is_that_of_an_environment_without_pixels(flight):
     np.testing.assert_array_equal([one["state"] for one in flight[0]], plain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_slots_of_a_batch_are_scalar_environments(mode):
     """Two episodes on end of three slots, the second after an automatic reset or one by mask."""
@@ -324,6 +326,7 @@ def test_effects_are_what_they_say():
     assert (np.diff(blurred[8:24]) <= 1e-6).all() and blurred[16] == pytest.approx(0.5 * 0.401, abs=0.02)
 
 
+@pytest.mark.slow
 def test_frames_freeze_and_cameras_shake():
     effects = {"frozen": 1.0, "attitude_deg": 1.0, "exposure": 0.5}
     env = make(camera={**CAMERA, "every": 1, "effects": effects}, randomization={})

@@ -233,6 +233,7 @@ def test_every_port_is_in_the_middle_when_the_pose_says_so():
         np.testing.assert_allclose(pixels, (8.0, 8.0), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_no_pixel_is_ever_nan(monkeypatch, optimised):
     """10,000 poses, of which every third is inside a part of the station."""
     monkeypatch.setattr("owm_envs.camera.render.encoded", lambda light: light)
@@ -257,6 +258,7 @@ def _finite(name, image):
     return (image >= 0).all()
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_pictures_one_by_one():
     views = random_views(np.random.default_rng(5), 6, 40.0)
     each = [draw(scene(), jax.tree.map(lambda part, i=i: part[i], views), small()) for i in range(6)]
@@ -317,6 +319,7 @@ def lit(shown, monkeypatch):
     return jax.jit(jax.value_and_grad(lambda view, lens: render(shown, view, lens)["rgb"].mean(), argnums=(0, 1)))
 
 
+@pytest.mark.slow
 def test_gradients_of_a_lit_sphere_match_differences(monkeypatch):
     """A sphere fills the picture, so that no edge moves through it."""
     lone = solids((ball("ball", (0.0, 0.0, 0.0), 20.0, "dark", "a test"),), MATERIAL_NAMES)
@@ -342,6 +345,7 @@ def test_gradients_of_a_lit_sphere_match_differences(monkeypatch):
     np.testing.assert_allclose(by_lens.exposure, (ahead - behind) / 0.1, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_everywhere(monkeypatch):
     views = random_views(np.random.default_rng(9), 8, 40.0)
     lens = camera("chaser_fpv", height=8, width=8)

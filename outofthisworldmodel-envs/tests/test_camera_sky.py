@@ -308,6 +308,7 @@ def test_blocks_and_batches_change_nothing(optimised):
     np.testing.assert_allclose(light[1], alone[:64], rtol=2e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite():
     seen, rays = next(random_cases(1))
     rays = rays / np.linalg.norm(rays, axis=1)[:, None]

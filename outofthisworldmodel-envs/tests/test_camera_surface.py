@@ -67,6 +67,7 @@ def _accuracy(train, test, rows=slice(0, 64), columns=slice(0, 64), shifts=(0,))
     return np.mean(nearest % ports == np.arange(len(nearest)) % ports)
 
 
+@pytest.mark.slow
 def test_ports_are_told_apart_by_sight_at_30_m(frames):
     assert _accuracy(*frames) >= 0.95, PORT_NAMES
 
@@ -93,6 +94,7 @@ def _patch(name, size, draw):
     return np.asarray(draw(scene, View(far, far, rest, far), eye)["rgb"]).astype(np.float64)
 
 
+@pytest.mark.slow
 def test_no_pattern_aliases():
     draw = jax.jit(render)
     mean = lambda image: image.reshape(8, image.shape[0] // 8, 8, image.shape[0] // 8, 3).mean(axis=(1, 3))

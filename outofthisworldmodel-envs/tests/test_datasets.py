@@ -165,6 +165,7 @@ with tempfile.TemporaryDirectory() as folder:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="tells no peak of memory")
 def test_memory_does_not_grow_with_the_corpus():
     """Of three times as many episodes, 100 MB of numbers more, no more is held."""
@@ -186,6 +187,7 @@ def test_statistics_of_pixels_are_those_of_all_of_them():
     assert found["count"].tolist() == [6]
 
 
+@pytest.mark.slow
 def test_a_recorded_dataset_is_what_was_asked_for(recorded):
     folder, summary = recorded
     train, val = datasets.read(folder, "train"), datasets.read(folder, "val")

@@ -57,6 +57,7 @@ def test_a_film_reads_back(tmp_path):
         save_film(tmp_path / "film.gif", images, 20.0)
 
 
+@pytest.mark.slow
 def test_pixels_are_recorded_beside_the_state(seeing_run):
     for episode in datasets.read(seeing_run, "train"):
         frames = episode.observation["pixels"]

@@ -39,6 +39,7 @@ def usual():
     return flown()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flag", FLAGS)
 def test_adapters_fly_under_the_caller_s_flags(flag, usual):
     before = jax.config.values["jax_" + flag]

@@ -84,6 +84,7 @@ CROSSING = coasting(
 # A chaser of a fleet is a chaser
 
 
+@pytest.mark.slow
 def test_chasers_that_do_not_meet_fly_as_alone(x64, fleet, fidelity):
     options = {"fidelity": fidelity, "noise": "cooperative", "steps_per_action": 4, "chaser": {"actuation_delay": 2}}
     env, params, _, step = fleet(**options)

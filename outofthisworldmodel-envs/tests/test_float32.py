@@ -66,6 +66,7 @@ def episode(quick, precision, view, day, seconds, wrench):
     return np.asarray(views, np.float64)
 
 
+@pytest.mark.slow
 def test_within_a_millimetre_of_float64_over_an_episode(starts, quick):
     ours = episode(quick, "float32", *starts)
     with jax.enable_x64(True):
@@ -116,6 +117,7 @@ def test_the_64_bit_mode_changes_no_operation():
         assert re.sub(r"([fi])(nt|loat)?64", lambda found: found[0].replace("64", "32"), other) == one
 
 
+@pytest.mark.slow
 def test_the_gymnasium_adapter_gives_the_same(quick, monkeypatch):
     """It runs in the 64-bit mode, the functional interface here outside it."""
     env, options = DockingEnv(precision="float32", **PLAIN), quick.keywords["compiler_options"]

@@ -40,6 +40,7 @@ def vector():
     )
 
 
+@pytest.mark.slow
 def test_check_env(env):
     with warnings.catch_warnings():
         warnings.filterwarnings("error")
@@ -88,6 +89,7 @@ def test_info_tells_the_truth_and_the_observation_the_measurement(env, fidelity)
     assert (terminated, truncated, info["outcome"]) == (False, True, Outcome.TIMEOUT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])
 def test_a_slot_equals_the_scalar_environment_auto_resets_included(fidelity, mode):
     vector = gymnasium.make_vec(IDS_OF[fidelity], num_envs=2, autoreset_mode=mode, **SHORT)

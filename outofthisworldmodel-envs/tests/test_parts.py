@@ -134,6 +134,7 @@ def recorded(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_dataset_keeps_the_parts(recorded):
     info = json.loads((recorded / "train/meta/info.json").read_text())
     features = {name: info["features"][f"observation.{name}"] for name in PARTS}

@@ -95,6 +95,7 @@ def test_the_episode_s_numbers_are_the_configured_ones_scaled_and_shifted(x64):
     assert episode_params(params, None) is params
 
 
+@pytest.mark.slow
 def test_an_episode_flies_as_one_configured_to_what_was_drawn(x64, docking, fidelity):
     """Against the environment without randomisation, configured to the drawn numbers."""
     _, params, reset, step = docking(fidelity=fidelity, randomization=FLOWN)

@@ -116,6 +116,7 @@ def test_a_share_that_cannot_be_is_refused(text):
         Shard.parse(text)
 
 
+@pytest.mark.slow
 def test_a_run_killed_while_it_encodes_goes_on_to_the_same_bytes(seeing_run, tmp_path):
     """Killed when the first episode is safe and others are not."""
     config, out = tmp_path / "config.toml", tmp_path / "set"

@@ -100,6 +100,7 @@ def assert_finite(tree, where=""):
         assert np.isfinite(leaf).all(), f"{where}{jax.tree_util.keystr(path)} is not finite: {leaf}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fidelity", FIDELITIES)
 @settings(max_examples=150, deadline=None)
 @given(st.sampled_from(range(len(PORT_NAMES))), positions, velocities, attitudes, rates, actions)
@@ -193,6 +194,7 @@ def soak():
     return module
 
 
+@pytest.mark.slow
 def test_a_short_soak_is_clean(soak, tmp_path):
     report = tmp_path / "soak.json"
     size = ["--fidelities", "iss-hcw", "--batch", "256", "--steps", "60000"]

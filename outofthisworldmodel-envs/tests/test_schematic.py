@@ -118,6 +118,7 @@ def test_an_obstacle_is_red_and_rows_are_written(still):
     assert 0.9 * 270 < filled.max() < 0.98 * 270
 
 
+@pytest.mark.slow
 def test_flights_are_drawn_alike_alone_and_together(still):
     away = state_at((0.0, -50.0, 10.0))
     drawings = [Drawing([Vehicle(v, np.zeros((0, 3)), 0, np.zeros(3))], "flight") for v in (NOWHERE, away)]

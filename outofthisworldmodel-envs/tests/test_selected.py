@@ -75,6 +75,7 @@ def test_nested_vmap():
         same(jax.tree.map(lambda x, i=i: x[i], nested), full(masks[i], *row))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("chosen", "calls"), [(0, 0), (1, 1), (4, 1), (5, 2), (23, 6)])
 def test_no_more_than_what_is_asked_for_is_computed(chosen, calls):
     seen = []

@@ -111,6 +111,7 @@ def test_hull_is_313_proper_boxes_within_the_start_shell():
     assert np.linalg.norm(np.abs(boxes).max(axis=1), axis=-1).max() < 97.0
 
 
+@pytest.mark.slow
 def test_hull_is_the_one_the_table_makes():
     """A changed table needs `save_hull(path, build_hull())`; this says so."""
     np.testing.assert_allclose(build_hull(), hull_boxes(), atol=1e-9)

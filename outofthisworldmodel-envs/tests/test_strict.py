@@ -65,6 +65,7 @@ def test_every_function_of_a_fleet_traces(jax_flags):
     assert first["state"].shape == (2, fleet.layout.size)
 
 
+@pytest.mark.slow
 def test_nothing_is_leaked_or_moved_and_every_number_is_finite(jax_flags, quick):
     """The flags that look at a program's run, and the search for tracers that outlive their function."""
     env = DockingEnv(fidelity="iss", precision="float32", **ALL)

@@ -278,6 +278,7 @@ def test_a_state_may_be_donated(fidelity):
     jax.jit(lambda state: state, donate_argnums=0)(kept)
 
 
+@pytest.mark.slow
 def test_a_fleet_s_state_may_be_donated():
     env = FleetEnv(2, fidelity="iss", precision="float32")
     state, _ = env.reset(env.default_params(), key=jax.random.key(0))

@@ -109,6 +109,7 @@ def test_what_is_wrong_is_named(dynamics, message):
         check_env(dynamics)
 
 
+@pytest.mark.slow
 def test_a_users_dynamics_pass_and_fly():
     check_env(Dragged())
     env = gymnasium.make("ISS-v0", dynamics=Dragged(damping=1.0), noise="none")
@@ -124,6 +125,7 @@ def test_a_users_dynamics_pass_and_fly():
     assert max(env.unwrapped.traces.values()) == 1
 
 
+@pytest.mark.slow
 def test_our_own_pass():
     check_env("ISSNumerical-v0", noise="cooperative", horizon=0.2)
 

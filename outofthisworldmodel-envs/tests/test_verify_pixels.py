@@ -14,6 +14,7 @@ from owm_envs.datasets.verify import verify
 from owm_envs.video import VideoWriter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", ["rgb", "depth"])
 def test_pictures_are_read_and_drawn_anew(seeing_run, tmp_path, channels):
     folder = tmp_path / "set"

@@ -81,6 +81,7 @@ def models(filters):
     return {kind: untrained(kind, various) for kind in KINDS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("spread", "late", "gain"), [(0.3, 4, 4.0), (0.3, 0, 4.0), (0.0, 0, 2.0)])
 def test_a_vehicle_never_seen_is_found_from_its_history(models, spread, late, gain):
     windows = flights(9, spread, late).windows(HISTORY + 32, 64, seed=1)
@@ -90,6 +91,7 @@ def test_a_vehicle_never_seen_is_found_from_its_history(models, spread, late, ga
         assert found * gain < fixed, f"{quantity} after 8 s: {found:.3g}, without adaptation {fixed:.3g}"
 
 
+@pytest.mark.slow
 def test_the_prior_is_the_spread_of_the_vehicles(models):
     statistics = models["adaptive"].params.statistics
     share = np.diag(np.asarray(statistics.filter.response)[:, :6]) / np.abs(np.diag(statistics.linear.action))

@@ -34,6 +34,7 @@ SHIPPED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_models_that_ship_pass(name, episodes):
     check_world_model(SHIPPED[name](episodes))
@@ -113,6 +114,7 @@ POLICIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POLICIES)
 def test_policies_that_ship_pass(name):
     check_policy(POLICIES[name](), CONFIG, ports=[PORT])

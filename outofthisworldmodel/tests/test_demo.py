@@ -122,6 +122,7 @@ def test_the_report_leads_to_the_replay(tmp_path):
     assert "[See one of them](replay.html)" in markdown and '<a href="replay.html">' in page
 
 
+@pytest.mark.slow
 def test_the_report_tells_what_was_given_what_failed_and_how_it_was_run(tmp_path):
     rows = [flights("world model", (5,)), flights("least-squares"), flights("dock", range(8))]
     rows.append(flights("dock-geodesic"))

@@ -62,6 +62,7 @@ def flown(ekf):
     return jax.tree.map(np.asarray, jax.jit(jax.vmap(run))(keys))
 
 
+@pytest.mark.slow
 def test_errors_and_innovations_are_as_large_as_the_filter_says(flown):
     """The normalised squares have mean 12. Source: Bar-Shalom, Li and Kirubarajan (2001), sec. 5.4."""
     square, surprise, error, measured = flown[3]
@@ -87,6 +88,7 @@ def test_a_history_is_filtered_from_its_first_real_measurement(ekf, flown):
     assert 1.4 < ratio[0] < 2.0  # four measurements for eight
 
 
+@pytest.mark.slow
 def test_samples_spread_as_coasting_does(ekf):
     """Position takes over the errors of velocity: its variance grows as the square of time, noise added apart."""
     steps, dt = 16, ekf.dt

@@ -177,6 +177,7 @@ def test_paths_stay_paths(tmp_path, monkeypatch):
         assert hub.parse(path) is None and local_folder(path).as_posix() == (path.removeprefix("./"))
 
 
+@pytest.mark.slow
 def test_a_model_is_trained_on_a_dataset_of_the_hub(local_hub, tmp_path, monkeypatch):
     run = tmp_path / "set"
     generate(run, load_config(fidelity="iss", noise="cooperative", horizon=12.0), Request(2400, 200, 3, 0.5, 24))

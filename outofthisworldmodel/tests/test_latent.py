@@ -124,6 +124,7 @@ def learned(statistics, episodes):
     return LearnedWorldModel(config, Params(network, statistics))
 
 
+@pytest.mark.slow
 def test_the_trained_layer_finds_the_motion_by_itself(learned, statistics, episodes):
     windows = episodes.windows(4 + 32, 48, seed=1)
     coasting = prediction_error(ConstantVelocity(history_length=4), windows, (8, 32), batch=48)
@@ -162,6 +163,7 @@ def test_the_trained_layer_learns_from_measured_steps_alone(learned, statistics,
         assert bool(jnp.any(gradient.encoder.down.bias != 0.0)) == rest
 
 
+@pytest.mark.slow
 def test_latents_do_not_collapse_in_training(statistics, episodes):
     """Without the map, where making targets easy would pay most."""
     config = CONFIG.model_copy(update={"base_dynamics": "none", "head": "flow"})

@@ -83,7 +83,7 @@ def test_conditions_change_what_is_flown_and_not_what_is_told():
     nominal = condition("nominal")
     off_nominal = [each for each in CONDITIONS.values() if each.hidden]
     wrong_maps = [each for each in CONDITIONS.values() if each.map]
-    assert len(off_nominal) == 11 and len(wrong_maps) == 3
+    assert len(off_nominal) == 22 and len(wrong_maps) == 3
     for each in off_nominal:
         assert each.told() in (nominal.told(), condition("noncooperative").told()) and each.flown() != each.told()
     assert condition("heavy").flown().chaser.mass == 15_000 and condition("light").flown().chaser.mass == 9_000
@@ -143,6 +143,7 @@ class Killed(Exception):
     pass
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
     matrix, (study,), simple = SMALL, SMALL.studies, SIMPLE
     seen = []
@@ -196,6 +197,7 @@ def test_a_killed_run_goes_on_and_other_settings_are_refused(tmp_path):
     assert str(tmp_path) not in text and str(Path.home()) not in text
 
 
+@pytest.mark.slow
 def test_processes_fly_the_same_as_one_and_one_that_dies_is_told_of(whole, tmp_path, monkeypatch):
     said, conditions = [], {"nominal": SIMPLE}
     with monkeypatch.context() as patch:

@@ -45,6 +45,7 @@ def test_a_planner_that_is_blind_goes_by_its_model():
         views = np.stack([move(NO_BIAS, view[None], push[None])[0] for view, push in zip(views, wrench, strict=True)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["dock-geodesic", "ekf-mpc"])
 def test_flights_with_outages_of_ten_seconds_dock(policy):
     config = evaluation_config(fidelity="iss-hcw")

@@ -179,6 +179,7 @@ def test_the_route_stays_outside_the_hull_and_ends_at_every_port():
     assert np.linalg.norm(path[:, :, -1] - np.asarray(goals)[:, None, :3], axis=-1).max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_classical_stack_commands_within_limits_and_forgets_between_episodes():
     env = DockingEnv(fidelity="iss-hcw", noise="cooperative", steps_per_action=5, normalize=True)
     policy = VectorPolicy(classical_policy(env))

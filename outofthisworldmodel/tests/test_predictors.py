@@ -21,6 +21,7 @@ def corpus(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_all_are_scored_on_the_same_instants_the_filter_with_the_longest_history(corpus, tmp_path, monkeypatch):
     train, _ = training_episodes(corpus, phases=1)
     save_world_model(fit_least_squares(train, history_length=12), tmp_path / "long")

@@ -31,12 +31,14 @@ def flown(quick_drifts) -> Flights:
     return add_coasts(flights, load_field())
 
 
+@pytest.mark.slow
 def test_it_docks_at_the_standards_rates_at_every_port(flown):
     assert succeeded(flown, 0.1, full=True).all()
     assert within_contact_limits(flown).all()
     assert flown.time.max() < 300.0
 
 
+@pytest.mark.slow
 def test_beyond_ten_metres_a_coast_clears_the_hull_and_nearer_an_impulse_does(flown):
     assert flown.instants_far.sum() > 300
     assert far_safe_share(flown) > 0.98
@@ -45,6 +47,7 @@ def test_beyond_ten_metres_a_coast_clears_the_hull_and_nearer_an_impulse_does(fl
     assert score(flown)["far_safe_share"] == far_safe_share(flown)
 
 
+@pytest.mark.slow
 def test_a_model_flies_it_too():
     """With a quarter of the candidates. Twenty seconds: two whole flights, replanned every 2 s."""
     config = evaluation_config(fidelity="iss-hcw")

@@ -77,6 +77,7 @@ def uninterrupted(episodes, tmp_path_factory):
     return result, out, traced
 
 
+@pytest.mark.slow
 def test_a_run_learns_and_publishes_its_best(uninterrupted):
     result, out, _ = uninterrupted
     log = lines(out)
@@ -185,6 +186,7 @@ def killed_once(reached, episodes, folder, out, **environ):
     assert reached() and child.returncode != 0, log.read_text(encoding="utf-8", errors="replace")
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_equals_uninterrupted(uninterrupted, episodes, tmp_path):
     _, whole, _ = uninterrupted
     out = tmp_path / "killed"
@@ -292,6 +294,7 @@ def test_bfloat16_is_the_network_s_alone():
     assert sum("bf16" in line for line in products) > len(products) / 2
 
 
+@pytest.mark.slow
 def test_two_devices_give_one_device_s_losses(uninterrupted, episodes, tmp_path):
     _, one, _ = uninterrupted
     out = tmp_path / "two"

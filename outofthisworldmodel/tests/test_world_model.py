@@ -116,6 +116,7 @@ def test_cached_steps_equal_the_whole_sequence(kind):
         np.testing.assert_array_equal(spoiled[3:], whole[3:])
 
 
+@pytest.mark.slow
 def test_cached_rollout_equals_recomputing_everything(model, window, rolled, errors):
     """Autoregression from the cache against a fresh pass over the whole track at every step."""
     observation, action = window
