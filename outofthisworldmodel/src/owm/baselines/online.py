@@ -18,7 +18,8 @@ class Estimate(NamedTuple):
 
     Attributes:
         linear: the fit that it starts from; action and bias are re-estimated, the rest stays.
-        information: of the six action coefficients, each for the whole range of its action, and the bias.
+        information: of the six action coefficients, each for the whole range of its action, the bias, and six
+            coefficients of the actions' sizes, which tell the two directions of an axis apart.
         moment: information times coefficients.
         squares: sum of squared prediction errors of each output, forgotten alike, and how many that are.
         count: see `squares`.
@@ -27,8 +28,8 @@ class Estimate(NamedTuple):
     """
 
     linear: LinearMap
-    information: Float[Array, "6 7 7"]
-    moment: Float[Array, "6 7"]
+    information: Float[Array, "6 13 13"]
+    moment: Float[Array, "6 13"]
     squares: Float[Array, "6"]
     count: Float[Array, ""]
     surprise: Float[Array, "6"]
@@ -36,7 +37,9 @@ class Estimate(NamedTuple):
 
 
 _RESET = 0.1
-_EXPECTED, _MOST, _ALARM = 2.0, 12.0, 35.0
+_NOISE = 4.0
+"""Times what is expected: larger squared errors are not all noise."""
+_EXPECTED, _MOST, _ALARM = 1.6, 12.0, 45.0
 """Of the cumulative sum of squared errors over their variance: what is taken off each, the most that one counts, and
 the alarm. Errors as expected come to it once in a million; two thirds of an axis lost at a third of its range, in
 1.5 s."""
@@ -60,7 +63,7 @@ class OnlineLeastSquares:
         dt: seconds a step.
         forgetting: share of what is known that outlives a step; 0.998 is a memory of two minutes at 4 Hz.
         spread: standard deviation of a coefficient about the fit, as a share of the largest in its row; of the bias a
-            third of that.
+            third of that, of an action's size a tenth.
     """
 
     limit: tuple[float, ...]
@@ -90,7 +93,8 @@ class OnlineLeastSquares:
         """Take in one transition between measurements."""
         first = to_motion(before, before)
         fitted, drift = linear_increment(known.linear, first, action)
-        inputs = jnp.concatenate([action / jnp.asarray(self.limit, action.dtype), jnp.ones(1, action.dtype)])
+        share = action / jnp.asarray(self.limit, action.dtype)
+        inputs = jnp.concatenate([share, jnp.ones(1, action.dtype), jnp.abs(share)])
         start = self._coefficients(known.linear)
         # What the terms that stay explain is taken off.
         change = increments(first, to_motion(after, before), self.dt, drift) - (fitted - start @ inputs)
@@ -103,16 +107,18 @@ class OnlineLeastSquares:
         expected = noise + unsure
         surprise = jnp.maximum(known.surprise + jnp.minimum(error**2 / expected, _MOST) - _EXPECTED, 0)
         alarm = surprise > _ALARM
+        anyone = jnp.ones_like(prior).at[:, 7:].set(0.1)
         changed = known.changed | alarm
         anchor = jnp.where(changed[:, None], solved, start)
 
-        squares, count = keep * known.squares + jnp.minimum(error**2, _MOST * expected), keep * known.count + 1
+        squares, count = keep * known.squares + jnp.minimum(error**2, _NOISE * expected), keep * known.count + 1
         weight = count / squares
         ignorant = jax.vmap(jnp.diag)(prior)
+        reset = _RESET * prior * anyone
         information = keep * known.information + (1 - keep) * ignorant
         moment = keep * known.moment + (1 - keep) * prior * anchor
-        information = jnp.where(alarm[:, None, None], _RESET * ignorant, information)
-        moment = jnp.where(alarm[:, None], _RESET * prior * solved, moment)
+        information = jnp.where(alarm[:, None, None], jax.vmap(jnp.diag)(reset), information)
+        moment = jnp.where(alarm[:, None], reset * solved, moment)
         return Estimate(
             known.linear,
             information + weight[:, None, None] * jnp.outer(inputs, inputs),
@@ -128,9 +134,10 @@ class OnlineLeastSquares:
         start, solved = self._coefficients(known.linear), self._solved(known)
         sound = jnp.diag(start[:, :6])
         variance = jax.vmap(lambda at: jnp.diag(jnp.linalg.inv(at)))(known.information)
+        share, uneven = jnp.diag(solved[:, :6]) / sound, jnp.diag(solved[:, 7:]) / sound
         return Health(
-            jnp.diag(solved[:, :6]) / sound,
-            jnp.sqrt(jnp.diag(variance[:, :6])) / jnp.abs(sound),
+            jnp.stack([share - uneven, share + uneven], axis=1),
+            jnp.sqrt(jnp.diag(variance[:, :6]) + jnp.diag(variance[:, 7:])) / jnp.abs(sound),
             (solved[:, 6] - start[:, 6]) / self.dt,
             known.changed,
         )
@@ -141,16 +148,16 @@ class OnlineLeastSquares:
         action = solved[:, :6] / jnp.asarray(self.limit, solved.dtype)
         return known.linear._replace(action=action, bias=solved[:, 6])
 
-    def _coefficients(self, linear: LinearMap) -> Float[Array, "6 7"]:
+    def _coefficients(self, linear: LinearMap) -> Float[Array, "6 13"]:
         scaled = jnp.asarray(linear.action) * jnp.asarray(self.limit, linear.action.dtype)
-        return jnp.concatenate([scaled, jnp.asarray(linear.bias)[:, None]], axis=1)
+        return jnp.concatenate([scaled, jnp.asarray(linear.bias)[:, None], jnp.zeros_like(scaled)], axis=1)
 
-    def _prior(self, coefficients: Float[Array, "6 7"]) -> Float[Array, "6 7"]:
+    def _prior(self, coefficients: Float[Array, "6 13"]) -> Float[Array, "6 13"]:
         """The information of each coefficient by itself before the flight."""
         deviation = self.spread * jnp.max(jnp.abs(coefficients[:, :6]), axis=1)
-        return jnp.repeat(deviation[:, None] ** -2, 7, axis=1) * jnp.asarray([1.0] * 6 + [9.0], coefficients.dtype)
+        return deviation[:, None] ** -2 * jnp.asarray([1.0] * 6 + [9.0] + [100.0] * 6, coefficients.dtype)
 
-    def _solved(self, known: Estimate) -> Float[Array, "6 7"]:
+    def _solved(self, known: Estimate) -> Float[Array, "6 13"]:
         return jax.vmap(lambda a, b: jax.scipy.linalg.solve(a, b, assume_a="pos"))(known.information, known.moment)
 
 

@@ -67,6 +67,15 @@ GIVEN: dict[str, Given] = {
     "world model, network zeroed": Given(
         _MAP, f"{_KINEMATICS} fitted; the network's weights are zero", _PROFILE, "no", "no", _CORRECTOR, "corpus"
     ),
+    "world model, network zeroed, online": Given(
+        _MAP,
+        f"{_KINEMATICS} fitted, then again in flight; the network's weights are zero",
+        _PROFILE,
+        "no",
+        "no",
+        f"{_CORRECTOR}; action map",
+        "corpus",
+    ),
     "ekf-mpc": Given(
         "no: a sphere about the station and a corridor to the port",
         "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
@@ -106,7 +115,11 @@ ONLINE_PREFIX = "online:"
 ZEROED_PREFIX = "zeroed:"
 """Before the folder of a world model whose network is to be silenced, to see what it is worth."""
 _ZEROED = {"world model": "world model, network zeroed"}
-_ONLINE = {"least-squares": "least-squares-online", "world model": "world model, online"}
+_ONLINE = {
+    "least-squares": "least-squares-online",
+    "world model": "world model, online",
+    "world model, network zeroed": "world model, network zeroed, online",
+}
 _OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 """A user's class, `module:Class`."""
 _KINDS = {
@@ -178,7 +191,7 @@ def kind_of(policy: str) -> str:
         (ZEROED_PREFIX, _ZEROED, "a model with a network over a fitted part"),
     ):
         if policy.startswith(prefix):
-            start = kind_of(_folder(policy))
+            start = kind_of(policy.removeprefix(prefix))
             if start not in kinds:
                 raise ValueError(f"{prefix} needs {needed} ({', '.join(kinds)}), got a {start}")
             return kinds[start]
@@ -198,7 +211,7 @@ def kind_of(policy: str) -> str:
 
 
 def _folder(policy: str) -> str:
-    """The path in a policy's name: all of it, or what stands after "online:" or "zeroed:"."""
+    """The path in a policy's name: all of it, or what stands after "online:", "zeroed:" or "online:zeroed:"."""
     return policy.removeprefix(ONLINE_PREFIX).removeprefix(ZEROED_PREFIX)
 
 
@@ -231,8 +244,8 @@ def load_policy(
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
             to fly; `online:FOLDER` fits the linear part of either again in flight; `zeroed:FOLDER` flies a world model
-            whose network says nothing; `module:Class` is a class of your
-            own, made with those of `config`, `num_slots` and `seed` that it takes.
+            whose network says nothing, `online:zeroed:FOLDER` both; `module:Class` is a class of your own, made with
+            those of `config`, `num_slots` and `seed` that it takes.
         config: the environment to fly.
         num_slots: flights side by side.
         seed: decides the policy's own draws.
@@ -283,7 +296,7 @@ def load_policy(
         from owm.baselines.online import OnlineBase, OnlineLeastSquares
 
         learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
-        if kind == _ONLINE["world model"]:
+        if kind != _ONLINE["least-squares"]:
             learner = OnlineBase(learner)
     made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
     made.name = name
@@ -348,5 +361,5 @@ def load_model(policy: str, config: DockingConfig) -> Any:
         return ConstantVelocity()
     if is_planned(kind):
         model = read_model(checkpoint_folder(_folder(policy)), policy, config)
-        return zeroed(model) if policy.startswith(ZEROED_PREFIX) else model
+        return zeroed(model) if policy.removeprefix(ONLINE_PREFIX).startswith(ZEROED_PREFIX) else model
     raise ValueError(f"policy {policy!r} has no world model")

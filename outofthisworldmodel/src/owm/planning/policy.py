@@ -14,7 +14,7 @@ from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
 from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
-from owm.planning.health import Health
+from owm.planning.health import Health, usable
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv, docking_env
@@ -248,14 +248,15 @@ class PlannerPolicy(SlotPolicy):
         def one(slot: int) -> tuple:
             began = time.perf_counter()
             with own_flags(self._wide):  # of this thread
-                params = self.model.params
+                params, tuning = self.model.params, self._tuning
                 if self._learner is not None:
-                    params = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
+                    params, works = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
+                    tuning = tuning._replace(limit=tuning.limit * works)
                 goal = Goal(self._field, np.int32(self._rows[port[slot]]), self._goals[port[slot]], self._drift)
                 output = replan(
                     self.model,
                     self.config.shape,
-                    Problem(params, self._tuning, goal),
+                    Problem(params, tuning, goal),
                     History(
                         {name: held[slot] for name, held in state.observation.items()},
                         state.action[slot],
@@ -327,8 +328,8 @@ def _ahead(model, learned, params, history, wrench):
 
 @partial(jax.jit, static_argnums=0)
 def _learned(learner, known):
-    """One slot's parameters."""
-    return learner.params(known)
+    """One slot's parameters, and which axes it may use."""
+    return learner.params(known), usable(learner.health(known))
 
 
 @partial(jax.jit, static_argnums=0)
