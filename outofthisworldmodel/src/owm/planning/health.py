@@ -25,7 +25,7 @@ class Health(NamedTuple):
     changed: Bool[Array, "6"]
 
 
-_LEAST, _SURELY = 0.25, 0.6
+_LEAST, _SURELY = 0.45, 0.75
 """Share of a direction that counts for nothing, if it is less than the second with 95 % confidence."""
 
 

@@ -12,16 +12,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
 from owm.interface import History, WorldModel, roll_out
 from owm.planning import corrector
+from owm.planning.approach import led_along, safe_approach
 from owm.planning.config import Shape, Tuning
 from owm.planning.cost import sequence_cost
-from owm.planning.effect import Effect, authority, coasting_wrench, effect_of, no_effect, wrench_for
-from owm.planning.facing import facing, is_crippled, is_turned, missing_forces
-from owm.planning.reference import safe_reference
+from owm.planning.effect import Effect, authority, coasting_wrench, effect_of, no_effect
 from owm.planning.sampler import sample_candidates
 from owm.planning.update import average, candidate_weights, shifted
 from owm_envs.field import clearance
@@ -29,19 +27,6 @@ from owm_envs.flags import own_promotion
 from owm_envs.policies.guidance import Goal
 from owm_envs.task.sensors import STATE
 from owm_envs.view import VIEW_SIZE, View
-
-_SHARE = 0.9
-"""Of what the thrusters can do: what the safe approach is to ask of them."""
-
-
-_CRIPPLED, _CRIPPLED_RATE = {"pace": 0.16, "steady": 6.0}, 0.1
-"""Of `Goal`, where an axis of force is out and every other push waits for a turn; and rad/s to turn at."""
-_GATE = 1.2
-"""m before the hold pose, where a crippled vehicle waits until it has the port's attitude, if it can brake in both."""
-
-
-_FACING, _IN_A_TURN = 0.99, 0.05
-"""Cosine of half the angle (16 deg) from which on a crippled vehicle turns, and what it may push meanwhile."""
 
 
 class Problem(NamedTuple):
@@ -120,25 +105,10 @@ def plan(
     nearness = jnp.minimum(1, tuning.sigma_near + (1 - tuning.sigma_near) * distance / tuning.sigma_distance)
     sigma, warm, reference = nearness * tuning.sigma, state.plan, jnp.zeros((shape.horizon, 6), dtype)
     if shape.objective == "safe":
-        able = _SHARE * authority(state.effect)
-        steps = shape.latency + shape.horizon
-        missing = missing_forces(state.effect, View.of(measured).attitude)
-        crippled = is_crippled(missing)
-        rate = jnp.where(crippled, _CRIPPLED_RATE, tuning.weights.top_rate)
-        tuning = tuning._replace(weights=tuning.weights._replace(top_rate=rate))
-        goal = goal._replace(**{name: jnp.where(crippled, x, getattr(goal, name)) for name, x in _CRIPPLED.items()})
-        waits = crippled & (missing[2, 2] < 0.5) & ~is_turned(measured, goal.pose)
-        goal = goal._replace(gate=jnp.where(waits, _GATE, goal.gate))
-        path = safe_reference(goal, measured, steps, model.dt, able)[shape.latency :]
-        held = facing(missing, measured, goal.pose, path)
-        goal = goal._replace(pose=goal.pose.at[3:].set(held))
-        reference = path[1:]
-        warm = jnp.where(state.started, _along(path, state, model.dt), warm)
-        # In a turn every push goes astray.
-        turning = jnp.abs(jnp.sum(held * View.of(measured).attitude)) < _FACING
-        turning &= crippled & ~_leads_into_the_hull(goal, measured)
-        share = jnp.where(turning & (np.arange(6) < 3), _IN_A_TURN, 1)
-        sigma, warm = sigma * share, warm * share
+        approach = safe_approach(shape, model.dt, tuning, goal, state.effect, measured)
+        goal, tuning, reference = approach.goal, approach.tuning, approach.path[1:]
+        led = approach.share * led_along(approach.path, state.effect, state.plan, model.dt)
+        sigma, warm = approach.share * sigma, jnp.where(state.started, led, warm)
     candidates = sample_candidates(shape, sigma, warm, key=key)
 
     # The rollout is vmapped whole, not its step: what no action moves (the context, the station) is computed
@@ -164,27 +134,6 @@ def plan(
     following = shifted(best, shape.chunk, coasting_wrench(effect))
     following = PlannerState(following, expected, jnp.all(jnp.isfinite(expected)), learned, effect)
     return best[: shape.chunk] * tuning.limit, following
-
-
-def _leads_into_the_hull(goal: Goal, view: Float[Array, "13"]) -> Bool[Array, ""]:
-    """Whether half a minute straight on, about what a turn takes, comes close to the hull."""
-    position, velocity, _, _ = View.of(view)
-    ahead = position + jnp.arange(5.0, 31.0, 5.0, dtype=position.dtype)[:, None] * velocity
-    gaps = jax.vmap(lambda at: clearance(goal.field, at))(ahead)
-    return jnp.min(gaps) < jnp.minimum(0.5, clearance(goal.field, position) - 0.1)
-
-
-def _along(path: Float[Array, "T+1 6"], state: PlannerState, dt: float) -> Float[Array, "T 6"]:
-    """The warm start with those forces that, by what actions do, lead along a path.
-
-    Averaging candidates alone follows a reference late, or with all their noise.
-    """
-    effect = state.effect
-    change = jnp.diff(path[:, 3:], axis=0) * (effect.elapsed / dt)
-    change = jnp.concatenate([change, jnp.broadcast_to(effect.change[3:], change.shape)], axis=1)
-    force = jnp.clip(wrench_for(effect, change)[:, :3], -1, 1)
-    plan = jnp.concatenate([force, state.plan[:, 3:]], axis=1)
-    return jnp.where(jnp.all(jnp.isfinite(plan)), plan, state.plan)
 
 
 def _corrected(

@@ -45,8 +45,8 @@ class Learner(Protocol):
     def params(self, known: Any) -> PyTree:
         """The parameters to plan with."""
 
-    def health(self, known: Any) -> Health:
-        """What is believed of the vehicle's axes."""
+    # `health(known) -> Health`, where it has one, tells what it believes of the vehicle's axes: those that are out are
+    # left alone.
 
 
 class SlotStates(NamedTuple):
@@ -137,8 +137,8 @@ class PlannerPolicy(SlotPolicy):
 
     @property
     def health(self) -> Health | None:
-        """What has been found of each slot's axes, (B, 6) each; None without a learner, or before the first flight."""
-        if self._learner is None or self._state is None:
+        """What has been found of each slot's axes; None without a learner that says so, or before the first flight."""
+        if not hasattr(self._learner, "health") or self._state is None:
             return None
         with own_flags(self._wide):
             return jax.device_get(jax.vmap(self._learner.health)(self._state.known))
@@ -329,7 +329,8 @@ def _ahead(model, learned, params, history, wrench):
 @partial(jax.jit, static_argnums=0)
 def _learned(learner, known):
     """One slot's parameters, and which axes it may use."""
-    return learner.params(known), usable(learner.health(known))
+    works = usable(learner.health(known)) if hasattr(learner, "health") else np.ones(6, np.float32)
+    return learner.params(known), works
 
 
 @partial(jax.jit, static_argnums=0)

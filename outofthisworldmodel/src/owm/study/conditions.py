@@ -88,7 +88,7 @@ def _chaser(what: str, **values: Any) -> Condition:
 
 def _failing(what: str, randomization: dict[str, Any] | None = None, **fault: Any) -> Condition:
     """Thrusters fail; there is more time to dock."""
-    hidden = {"horizon": 1200.0, "chaser": {"fault": fault}, "randomization": randomization or {}}
+    hidden = {"horizon": 1800.0, "chaser": {"fault": fault}, "randomization": randomization or {}}
     return Condition(what, hidden=hidden)
 
 

@@ -1,0 +1,92 @@
+"""What the safe objective tracks in one replan, and around what it samples; a crippled vehicle flies by other numbers.
+
+A crippled vehicle has lost an axis of force. It flies slowly, turns so that what is left pushes where it matters
+(`owm.planning.facing`), hardly pushes while it turns, and aims straight for the goal in the end.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from owm.planning.config import Shape, Tuning
+from owm.planning.effect import Effect, authority, wrench_for
+from owm.planning.facing import facing, is_crippled, is_turned, missing_forces
+from owm.planning.reference import safe_reference
+from owm_envs.field import clearance
+from owm_envs.policies.guidance import Goal
+from owm_envs.view import View
+
+_SHARE = 0.9
+"""Of what the thrusters can do: what the safe approach is to ask of them."""
+_CRIPPLED = {"pace": 0.16, "steady": 6.0}
+"""Of the goal of a crippled vehicle, every other push of which waits for a turn."""
+_GATE = 1.2
+"""m before the hold pose, where a crippled vehicle that can brake waits until it has the port's attitude."""
+_TURNING_RATE = 0.1
+"""rad/s, of its turns."""
+_TURNED, _WHILE_TURNING = 0.99, 0.05
+"""Cosine of half the angle (16 deg) from which on it turns, and the share of its pushes meanwhile: they go astray."""
+_COAST = np.arange(5.0, 31.0, 5.0)
+"""s: what a turn takes, about."""
+
+
+class Approach(NamedTuple):
+    """How to fly now.
+
+    Attributes:
+        goal: with the attitude to hold.
+        tuning: with the rate to turn at.
+        path: to track, m and m/s in the station frame, now and every step.
+        share: of each axis's noise and warm start.
+    """
+
+    goal: Goal
+    tuning: Tuning
+    path: Float[Array, "T+1 6"]
+    share: Float[Array, "6"]
+
+
+def safe_approach(
+    shape: Shape, dt: float, tuning: Tuning, goal: Goal, effect: Effect, view: Float[Array, "13"]
+) -> Approach:
+    """Return how to fly from a view by what actions do."""
+    attitude = View.of(view).attitude
+    missing = missing_forces(effect, attitude)
+    crippled = is_crippled(missing)
+    waits = crippled & (missing[2, 2] < 0.5) & ~is_turned(view, goal.pose)
+    changed = {name: jnp.where(crippled, value, getattr(goal, name)) for name, value in _CRIPPLED.items()}
+    goal = goal._replace(**changed, gate=jnp.where(waits, _GATE, goal.gate))
+    able = _SHARE * authority(effect)
+    path = safe_reference(goal, view, shape.latency + shape.horizon, dt, able)[shape.latency :]
+    held = facing(missing, view, goal.pose, path)
+    turning = crippled & (jnp.abs(jnp.sum(held * attitude)) < _TURNED) & ~_leads_into_the_hull(goal, view)
+    rate = jnp.where(crippled, _TURNING_RATE, tuning.weights.top_rate)
+    return Approach(
+        goal=goal._replace(pose=goal.pose.at[3:].set(held)),
+        tuning=tuning._replace(weights=tuning.weights._replace(top_rate=rate)),
+        path=path,
+        share=jnp.where(turning & (np.arange(6) < 3), _WHILE_TURNING, 1).astype(view.dtype),
+    )
+
+
+def led_along(path: Float[Array, "T+1 6"], effect: Effect, plan: Float[Array, "T 6"], dt: float) -> Float[Array, "T 6"]:
+    """Return a plan with those forces that, by what actions do, lead along a path.
+
+    Averaging candidates alone follows a reference late, or with all their noise.
+    """
+    change = jnp.diff(path[:, 3:], axis=0) * (effect.elapsed / dt)
+    change = jnp.concatenate([change, jnp.broadcast_to(effect.change[3:], change.shape)], axis=1)
+    force = jnp.clip(wrench_for(effect, change)[:, :3], -1, 1)
+    led = jnp.concatenate([force, plan[:, 3:]], axis=1)
+    return jnp.where(jnp.all(jnp.isfinite(led)), led, plan)
+
+
+def _leads_into_the_hull(goal: Goal, view: Float[Array, "13"]) -> Bool[Array, ""]:
+    """Whether half a minute straight on comes close to the hull."""
+    position, velocity, _, _ = View.of(view)
+    ahead = position + jnp.asarray(_COAST, position.dtype)[:, None] * velocity
+    gaps = jax.vmap(lambda at: clearance(goal.field, at))(ahead)
+    return jnp.min(gaps) < jnp.minimum(0.5, clearance(goal.field, position) - 0.1)
