@@ -44,6 +44,7 @@ def fly(options: argparse.Namespace, name: str, flown_in: Condition, field: Geod
     figures = {
         "flights": len(seeds),
         "strict": scores["success"]["0.1 m full voided"]["count"],
+        "captured": int((flights.outcome == "docked").sum()),
         "collided": scores["collision"]["count"],
         "IDSS contact": scores["idss"]["count"],
         "far coasts clear": scores["far_safe_share"],
