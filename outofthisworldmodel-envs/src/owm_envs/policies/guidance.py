@@ -163,12 +163,14 @@ def _last_leg(goal: Goal, at: Float[Array, "3"]) -> tuple[Array, Float[Array, "3
     ahead = jnp.maximum(axial, 0)
     on_it = (safe_norm(offset) < _CORRIDOR) & (lateral < 0.6 + 0.4 * ahead)
     closing = jnp.clip(_CONTACT + goal.pace * (jnp.abs(axial) - goal.steady) / _CLOSING_TIME, _CONTACT, 0.6)
+    slow = jnp.asarray(goal.pace) < 1
+    aimed = -closing * offset / jnp.maximum(safe_norm(offset), 0.1)
     held_back = jnp.clip(1.5 - lateral / (0.15 + 0.12 * ahead), -0.3, 1.0)
-    closing = closing * jnp.where(jnp.asarray(goal.pace) < 1, jnp.maximum(held_back, 0.2), held_back)
+    closing = closing * jnp.where(slow, jnp.maximum(held_back, 0.2), held_back)
     closing = jnp.where(axial < -0.05, -0.05, closing)
     closing = jnp.minimum(closing, jnp.maximum((axial - goal.gate) / _CLOSING_TIME, -0.05))
-    # Who answers slowly aims for the goal, so that no more has to be changed on the way.
-    least = jnp.where(jnp.asarray(goal.gate) > 0, _CLOSING_TIME, _CENTRING_TIME)
-    time = jnp.where(jnp.asarray(goal.pace) < 1, jnp.maximum(ahead / _CONTACT, least), _CENTRING_TIME)
+    time = jnp.where(slow, jnp.maximum(ahead / _CONTACT, _CLOSING_TIME), _CENTRING_TIME)
     back = jnp.minimum(lateral / time, 0.3)
-    return on_it, -closing * outwards - back * aside / jnp.maximum(lateral, 1e-6)
+    centred = -closing * outwards - back * aside / jnp.maximum(lateral, 1e-6)
+    # Who answers slowly aims for the goal, so that no more has to be changed on the way.
+    return on_it, jnp.where(slow & (jnp.asarray(goal.gate) < 0), aimed, centred)
