@@ -149,7 +149,7 @@ def test_only_who_may_fail_keeps_a_clock():
         ({"randomization": {"fault_time": (0.0, 9.0)}}, False),
     ):
         assert load_config(config).structure.faulty is faulty
-    with pytest.raises(ValueError, match=r"chaser\.fault\.leak: must be at most 1e6 in size"):
+    with pytest.raises(ValueError, match=r"chaser\.fault\.leak"):
         load_config(chaser={"fault": {"leak": (0.0, 2e6, 0.0, 0.0, 0.0, 0.0)}})
     with pytest.raises(ValueError, match="one_sided"):
         load_config(chaser={"fault": {"one_sided": (2, 0, 0, 0, 0, 0)}})

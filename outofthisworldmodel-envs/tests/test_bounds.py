@@ -23,7 +23,7 @@ ALL = load_config(
     noise={"position": 0.1, "bias": {"position": 0.1, "rate": 1e-5}},
     hull=[BOX],
     obstacles=[BOX],
-    chaser={"thrusters": "on_off", "actuation_delay": 1},
+    chaser={"thrusters": "on_off", "actuation_delay": 1, "fault": {"leak": (1.0,) * 6}},
     randomization={"mass_scale": (0.9, 1.1), "chief_raan_deg": (0.0, 5.0)},
 )
 TABLES = ALL.model_dump()

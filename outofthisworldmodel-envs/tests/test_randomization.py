@@ -264,7 +264,7 @@ def test_an_episode_fails_as_one_configured_to_what_was_drawn(x64, docking):
     ranges = FAULTS | {"fault_time": (0.1, 0.1)}
     _, params, reset, step = docking(fidelity="iss", chaser={"fault": base}, randomization=ranges)
     state, _ = reset(params, key=jax.random.key(5))
-    mine = episode_params(params, jax.device_get(state.drawn)).chaser.fault
+    mine = episode_params(params, state.drawn).chaser.fault
     assert float(mine.time) == pytest.approx(0.3)
     told = {name: np.asarray(getattr(mine, name)).tolist() for name in ("time", "thrust_scale", "misalignment")}
     _, fixed, reset_plain, step_plain = docking(fidelity="iss", chaser={"fault": told})
