@@ -5,6 +5,7 @@ import pytest
 from free_body import NO_BIAS, STARTS, make, move, observe
 
 from owm.catalogue.policies import load_policy
+from owm.commands.run import fly
 from owm.scores.docking import evaluation_config, fly_episodes, trials
 from owm.scores.flights import succeeded
 from owm.scores.outages import Outages
@@ -52,6 +53,13 @@ def test_flights_with_outages_of_ten_seconds_dock(policy):
     seeds, ports = trials(["zvezda_aft", "pirs_nadir"], per_port=1, seed=5)
     flown = fly_episodes(load_policy(policy, config, 2), config, seeds, ports, outages=Outages(10.0))
     assert succeeded(flown, 0.1, full=True).all() and not flown.collided.any()
+
+
+@pytest.mark.parametrize("name", ["noncooperative", "near", "map shifted", "heavy, noncooperative"])
+def test_a_condition_of_which_a_single_flight_would_heed_a_part_is_refused(name, tmp_path):
+    with pytest.raises(ValueError, match="not for one flight"):
+        fly("dock", "zvezda_aft", condition=name, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_condition_tells_policies_of_outages_and_keeps_the_environment():

@@ -41,8 +41,7 @@ _NOISE = 4.0
 """Times what is expected: larger squared errors are not all noise."""
 _EXPECTED, _MOST, _ALARM = 1.6, 12.0, 45.0
 """Of the cumulative sum of squared errors over their variance: what is taken off each, the most that one counts, and
-the alarm. Errors as expected come to it once in a million; two thirds of an axis lost at a third of its range, in
-1.5 s."""
+the alarm. Errors as expected come to it about once in a million."""
 
 
 @dataclass(frozen=True)

@@ -154,12 +154,19 @@ def fly(
         from owm_envs.film import film_camera
 
         lens = film_camera(video, camera, _FILM_SIZE, port)
-    wrong = condition_of(condition)
+    wrong, nominal = condition_of(condition), CONDITIONS["nominal"]
+    if any(getattr(wrong, part) != getattr(nominal, part) for part in ("shell", "noise", "fidelity", "map")):
+        raise ValueError(
+            f"condition {condition!r} is not for one flight: choose shell, noise and env by themselves, or fly it by "
+            "owm evaluate matrix"
+        )
     told = evaluation_config(shell, noise=noise, fidelity=fidelity)
     config = load_config(told, **wrong.hidden)
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
     asked["environment"] = config.model_dump(mode="json")
+    if wrong.outages:
+        asked["outages"] = wrong.outages._asdict()
     if planned:
         asked["planner"] = variant.model_dump(mode="json")
     with Claim(out or Path("runs/fly") / f"{slug(policy)}_{port}_{digest(asked)[:8]}", asked) as claim:
