@@ -1,5 +1,6 @@
 """The configuration of a docking environment: frozen, validated, and readable from TOML, JSON or keyword arguments."""
 
+import itertools
 import math
 import os
 import tomllib
@@ -23,6 +24,7 @@ from owm_envs.config.parts import (
     RandomizationConfig,
     ResetConfig,
     RewardConfig,
+    TargetConfig,
     unit,
     within,
 )
@@ -58,6 +60,8 @@ class Structure(NamedTuple):
     """Simulation steps of commands to keep."""
     faulty: bool
     """Whether thrusters may fail in flight."""
+    turning: bool
+    """Whether the target turns in the frame of the orbit."""
     randomized: bool
     biased: bool
     """Whether sensors have a time-correlated error."""
@@ -105,6 +109,7 @@ class DockingConfig(Frozen):
     reset: ResetConfig = ResetConfig()
     docking: DockingTolerances = DockingTolerances()
     chief: ChiefConfig = ChiefConfig()
+    target: TargetConfig = TargetConfig()
     chaser: ChaserConfig = ChaserConfig()
     camera: CameraConfig = CameraConfig()
     forces: ForceConfig = ForceConfig()
@@ -212,6 +217,7 @@ class DockingConfig(Frozen):
             on_off=chaser.thrusters == "on_off",
             longest_delay=chaser.actuation_delay + ranges.actuation_delay[1],
             faulty=chaser.fault.active or ranges.faulty,
+            turning=self.target.turns or ranges.turning,
             randomized=ranges.active,
             biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),
             port_slots=max(len(PORT_NAMES), len(self.ports)),
@@ -227,6 +233,13 @@ class DockingConfig(Frozen):
         return toml(self, notes=notes)
 
 
+def ball(radius: float) -> tuple[Box, ...]:
+    """Boxes about the origin whose corners lie on a ball of some radius, m: they reach out to 0.8 of it everywhere."""
+    shapes = ((0.94, 0.24, 0.24), (0.8, 0.42, 0.42), (0.66, 0.66, 0.36), (0.69, 0.69, 0.22), (0.577, 0.577, 0.577))
+    halves = {tuple(radius * side for side in sides) for shape in shapes for sides in itertools.permutations(shape)}
+    return tuple((tuple(-side for side in half), half) for half in sorted(halves))
+
+
 CONFIG_PRESETS: dict[str, dict[str, Any]] = {
     "data": {},
     "rl": {
@@ -235,8 +248,18 @@ CONFIG_PRESETS: dict[str, dict[str, Any]] = {
         "collision_terminates": False,
         "reset": {"radius_min": 100.0, "radius_max": 125.0},
     },
+    "tumbling": {
+        "target": {"hold": (0.0, -7.0, 0.0)},
+        "hull": ball(3.0),
+        "ports": PORT_NAMES[:1],
+        "randomization": {"target_rate_deg": (1.0, 5.0)},
+        "chief": {"mass": 8000.0, "drag_area": 30.0},
+        "reset": {"radius_min": 40.0, "radius_max": 80.0},
+        "horizon": 600.0,
+    },
 }
-"""Named starting points: the paper's data generation, and its reinforcement learning set-up."""
+"""Named starting points: the paper's data generation, its reinforcement learning set-up, and a satellite that turns at
+1 to 5 deg/s about whatever axis, known as a ball of 3 m."""
 
 
 def load_config(

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from astrojax.time import mjd_from_calendar
 from owm_envs.config.docking import DockingConfig
-from owm_envs.station import goal_poses, hull_boxes, port_index
+from owm_envs.station import PORT_NAMES, goal_poses, hull_boxes, port_index
+from owm_envs.station.ports import docked_attitude
 
 
 class ChiefParams(NamedTuple):
@@ -107,6 +108,8 @@ class RandomizationParams(NamedTuple):
     fault_scale: Float[Array, "2"]
     fault_misalignment: Float[Array, "2"]
     """rad."""
+    target_rate: Float[Array, "2"]
+    """rad/s."""
     chief_elements: Float[Array, "6 2"]
     """[m, -, rad, rad, rad, rad]."""
 
@@ -129,12 +132,28 @@ class Params(NamedTuple):
     chief: ChiefParams
     chaser: ChaserParams
     noise: NoiseParams
+    target_rate: Float[Array, "3"]
+    """rad/s, in its own axes; as in `TargetConfig`."""
     reset: ResetParams
     docking: DockingParams
     reward: dict[str, Float[Array, ""]]
     randomization: RandomizationParams
     sensors: dict[str, PyTree] = {}  # noqa: RUF012 - never changed; a pytree without leaves
     """Of the sensors that have numbers of their own, by name: the scene and camera behind pixels."""
+
+
+def goals_of(config: DockingConfig) -> Float[np.ndarray, "8 7"]:
+    """Hold poses of a configuration's ports: m, quaternion body to station; all the same where its target has one."""
+    hold = config.target.hold
+    if hold is None:
+        return goal_poses()
+    outwards = np.asarray(hold, np.float64) / np.linalg.norm(hold)
+    return np.tile(np.concatenate([hold, docked_attitude(outwards)]), (len(PORT_NAMES), 1))
+
+
+def hull_of(config: DockingConfig) -> Float[np.ndarray, "N 2 3"]:
+    """Keep-out boxes of a configuration: lower and upper corners, m."""
+    return hull_boxes() if config.hull == "iss" else np.asarray(config.hull, np.float64)
 
 
 def params_from_config(config: DockingConfig) -> Params:
@@ -156,15 +175,14 @@ def params_from_config(config: DockingConfig) -> Params:
     chief, chaser, noise, ranges = config.chief, config.chaser, config.noise, config.randomization
     ports = [port_index(name) for name in config.ports]
     padding = [ports[0]] * (config.structure.port_slots - len(ports))
-    hull = hull_boxes() if config.hull == "iss" else np.asarray(config.hull, np.float64)
     angles = np.radians([chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg])
     return Params(
         dt=real(config.dt),
         horizon_steps=jnp.asarray(config.horizon_decisions, jnp.int32),
         escape_radius=real(config.escape_radius),
-        hull=real(hull),
+        hull=real(hull_of(config)),
         obstacles=real(np.asarray(config.obstacles, np.float64).reshape(-1, 2, 3)),
-        goals=real(goal_poses()),
+        goals=real(goals_of(config)),
         port_choices=jnp.asarray(ports + padding, jnp.int32),
         port_count=jnp.asarray(len(ports), jnp.int32),
         chief=ChiefParams(
@@ -201,6 +219,7 @@ def params_from_config(config: DockingConfig) -> Params:
             **{name: real(value) for name, value in noise if name != "bias"},
             bias=BiasParams(**{name: real(value) for name, value in noise.bias}),
         ),
+        target_rate=real(np.radians(config.target.rate_deg)),
         reset=ResetParams(
             radius_min=real(config.reset.radius_min),
             radius_max=real(config.reset.radius_max),
@@ -225,6 +244,7 @@ def params_from_config(config: DockingConfig) -> Params:
             fault_time=real(ranges.fault_time),
             fault_scale=real(ranges.fault_scale),
             fault_misalignment=real(np.radians(ranges.fault_misalignment_deg)),
+            target_rate=real(np.radians(ranges.target_rate_deg)),
             chief_elements=real(
                 [
                     ranges.chief_semi_major_axis,

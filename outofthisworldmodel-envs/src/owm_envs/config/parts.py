@@ -235,6 +235,34 @@ class ChiefConfig(Frozen):
         return given.isoformat().replace("+00:00", "Z")
 
 
+TurnRate = Annotated[float, within(-360, 360)]
+TurnSpeed = Annotated[float, within(0, 360)]
+
+
+class TargetConfig(Frozen):
+    """What flies in the station's place, if it has an attitude of its own or another place to dock at.
+
+    The station frame is then the target's own: views, hull and goals are in its axes.
+    """
+
+    rate_deg: Annotated[tuple[TurnRate, TurnRate, TurnRate], unit("deg/s")] = (0.0, 0.0, 0.0)
+    """Rate, in its own axes, at which it turns in the frame of the orbit. At an episode's start both frames agree."""
+    hold: Annotated[Vector3, unit("m")] | None = None
+    """Where a docking chaser holds, its nose to the origin: the goal in place of every port's. None for the ports."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it turns as configured."""
+        return any(self.rate_deg)
+
+    @field_validator("hold")
+    @classmethod
+    def _off_the_origin(cls, value):
+        if value is not None and math.hypot(*value) < 1e-3:
+            raise ValueError("must be away from the origin, where the nose points")
+        return value
+
+
 Side = Annotated[int, Field(ge=-1, le=1)]
 Leak = Annotated[float, within(-1e6, 1e6)]
 
@@ -358,6 +386,8 @@ class RandomizationConfig(Frozen):
     """What the fault leaves of one axis of force, which is drawn too."""
     fault_misalignment_deg: tuple[HalfTurn, HalfTurn] = (0.0, 0.0)
     """Angle by which the fault turns the wrench, besides `chaser.fault.misalignment`; isotropic axis."""
+    target_rate_deg: Annotated[tuple[TurnSpeed, TurnSpeed], unit("deg/s")] = (0.0, 0.0)
+    """Added to `target.rate_deg`; isotropic axis."""
     chief_semi_major_axis: Annotated[tuple[Coordinate, Coordinate], unit("m")] = (0.0, 0.0)
     chief_eccentricity: Annotated[tuple[Eccentricity, Eccentricity], unit("1")] = (0.0, 0.0)
     chief_inclination_deg: DegreeRange = (0.0, 0.0)
@@ -377,8 +407,13 @@ class RandomizationConfig(Frozen):
         return self.fault_scale != (1.0, 1.0) or self.fault_misalignment_deg != (0.0, 0.0)
 
     @property
+    def turning(self) -> bool:
+        """Whether a rate of the target is drawn."""
+        return self.target_rate_deg != (0.0, 0.0)
+
+    @property
     def active(self) -> bool:
-        """Whether anything of vehicle or orbit is drawn."""
+        """Whether anything of vehicle, target or orbit is drawn."""
         return self.model_copy(update={"camera": CameraRanges()}) != RandomizationConfig()
 
 

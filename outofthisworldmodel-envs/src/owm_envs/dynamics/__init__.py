@@ -16,6 +16,7 @@ from owm_envs.dynamics.free_flyer import FreeFlyer
 from owm_envs.dynamics.hcw import HillClohessyWiltshire
 from owm_envs.dynamics.numerical import NumericalOrbits
 from owm_envs.dynamics.state import PhysicalState, VehicleState
+from owm_envs.dynamics.turning import TurningTarget
 from owm_envs.words import require_parts
 
 
@@ -60,6 +61,7 @@ __all__ = [
     "RTN_TO_STATION",
     "Dynamics",
     "PhysicalState",
+    "TurningTarget",
     "VehicleState",
     "require_dynamics",
     "station_orbit",

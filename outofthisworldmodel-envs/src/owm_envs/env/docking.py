@@ -13,11 +13,12 @@ from astrojax.compilation import all_of, stored, summed
 from astrojax.time import mjd_from_calendar, normalize_epoch
 from owm_envs.config import DockingConfig, Structure, load_config
 from owm_envs.config.params import Params, params_from_config
-from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, require_dynamics, station_orbit
+from owm_envs.dynamics import DYNAMICS, Dynamics, PhysicalState, TurningTarget, require_dynamics, station_orbit
+from owm_envs.dynamics.turning import seen_turning
 from owm_envs.task.actuators import ActuatorState, actuators_at_rest, deliver
 from owm_envs.task.collision import Clearance, advance_clearance, clearance_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
-from owm_envs.task.navigation import RelativeNavigation, advance_bias, goal_error, start_bias
+from owm_envs.task.navigation import RelativeNavigation, TargetRate, advance_bias, goal_error, start_bias
 from owm_envs.task.observation import ObservationLayout
 from owm_envs.task.randomization import Drawn, draw, drawn_anew, episode_params, named_draws
 from owm_envs.task.reset import Start, named_key, sample_start
@@ -129,8 +130,11 @@ class DockingEnv:
         if dynamics is not None:
             require_dynamics(dynamics)
         self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
+        if self.structure.turning:
+            self.dynamics = TurningTarget(self.dynamics)
         self.given_sensors = tuple(sensors)
-        self.sensors = require_sensors([RelativeNavigation(self.config.precision), *_camera(self.config), *sensors])
+        own = [RelativeNavigation(self.config.precision), *([TargetRate()] if self.structure.turning else [])]
+        self.sensors = require_sensors([*own, *_camera(self.config), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -156,11 +160,9 @@ class DockingEnv:
     @property
     def name(self) -> str:
         """The fidelity, or the class of dynamics of one's own."""
-        return (
-            self.config.fidelity
-            if DYNAMICS[self.config.fidelity](self.config) == self.dynamics
-            else type(self.dynamics).__name__
-        )
+        dynamics = self.dynamics.orbits if self.structure.turning else self.dynamics
+        own = DYNAMICS[self.config.fidelity](self.config) != dynamics
+        return type(dynamics).__name__ if own else self.config.fidelity
 
     @property
     def observation_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
@@ -215,8 +217,8 @@ class DockingEnv:
         """What the configured ranges leave to each episode; None if they leave nothing."""
         if not self.structure.randomized:
             return None
-        faulty = self.structure.faulty
-        return draw(params.randomization, faulty=faulty, key=named_key(episode_key, "randomization"))
+        faulty, turning, key = self.structure.faulty, self.structure.turning, named_key(episode_key, "randomization")
+        return draw(params.randomization, faulty=faulty, turning=turning, key=key)
 
     def place(
         self,
@@ -228,6 +230,8 @@ class DockingEnv:
     ) -> EnvState:
         """The state of an episode about to begin at `start`, not observed yet."""
         params = episode_params(params, drawn)
+        if self.structure.turning:
+            start = start._replace(view=seen_turning(start.view, params.target_rate))
         noise_key = named_key(episode_key, "noise")
         physics = self.dynamics.init(params, start.epoch, start.view)
         bias = None

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from astrojax.attitude import rotation_from_rotation_vector, skew
 from astrojax.orbits import stm_hcw
 from owm_envs.field.geodesic import GeodesicField, clearance
 
@@ -25,6 +26,16 @@ def drift_matrices(n: float, times: Float[np.ndarray, "T"]) -> Float[np.ndarray,
     with jax.enable_x64(True):
         rtn = np.asarray(jax.vmap(lambda t: stm_hcw(jnp.asarray(n), t))(jnp.asarray(times, float)))
     return (_TO_RTN.T @ rtn[:, :3] @ np.kron(np.eye(2), _TO_RTN)).astype(np.float32)
+
+
+def drift_seen_turning(
+    matrices: Float[Array, "T 3 6"], times: Float[Array, "T"], rate: Float[Array, "3"]
+) -> Float[Array, "T 3 6"]:
+    """The same, from what a target sees that turns at `rate` [rad/s, in its axes] to what it sees then."""
+    after = jax.vmap(lambda time: rotation_from_rotation_vector(-time * rate))(times)
+    whole, none = jnp.eye(3, dtype=rate.dtype), jnp.zeros((3, 3), rate.dtype)
+    at_rest = jnp.block([[whole, none], [skew(rate), whole]])
+    return after @ matrices @ at_rest
 
 
 def drift_shortfall(

@@ -316,6 +316,8 @@ def load_field(
     boxes: Float[np.ndarray, "N 2 3"] | None = None,
     progress: Progress | None = None,
     config: FieldConfig | None = None,
+    *,
+    poses: Float[np.ndarray, "8 7"] | None = None,
 ) -> GeodesicField:
     """Load the field of the station's ports from the cache, solving what is not there.
 
@@ -329,6 +331,7 @@ def load_field(
         progress: called before each port that has to be solved and once at the end; a rich progress bar on
             the standard error stream if not given.
         config: the field's numbers; the standard ones if not given.
+        poses: hold pose of each port: m, quaternion body to station; the station's own if not given.
 
     Raises:
         ValueError: no ports, an unknown port (naming the nearest), or bad boxes.
@@ -339,7 +342,10 @@ def load_field(
     config = FieldConfig() if config is None else config
     boxes = hull_boxes() if boxes is None else boxes
     normals = np.array([port.normal for port in PORTS], np.float64)
-    boxes, goals, normals = _checked(boxes, goal_poses()[:, :3], normals, _SPHERE_RADIUS)
+    if poses is not None:
+        w, x, y, z = np.asarray(poses, np.float64)[:, 3:].T
+        normals = -np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+    boxes, goals, normals = _checked(boxes, (goal_poses() if poses is None else poses)[:, :3], normals, _SPHERE_RADIUS)
     # All eight ports place the grids, whichever are asked for: so each port's file serves every selection.
     grids = grid_layout(boxes, goals, normals, _SPHERE_RADIUS, config)
     shapes = tuple(grid.shape for grid in grids)
@@ -375,7 +381,8 @@ def _reporter(progress: Progress | None) -> Iterator[Progress]:
         yield lambda message, done, total: bar.update(task, description=message, completed=done, total=total)
 
 
-def field_rows(field: GeodesicField) -> Int[np.ndarray, "8"]:
-    """The row of a field that belongs to each port of the station, -1 where it has none."""
-    gaps = np.linalg.norm(goal_poses()[:, None, :3] - np.asarray(field.goals)[None], axis=-1)
+def field_rows(field: GeodesicField, poses: Float[np.ndarray, "8 7"] | None = None) -> Int[np.ndarray, "8"]:
+    """The row of a field that belongs to each port, -1 where it has none; `poses` as for `load_field`."""
+    poses = goal_poses() if poses is None else np.asarray(poses)
+    gaps = np.linalg.norm(poses[:, None, :3] - np.asarray(field.goals)[None], axis=-1)
     return np.where(gaps.min(axis=1) < 1e-3, gaps.argmin(axis=1), -1)

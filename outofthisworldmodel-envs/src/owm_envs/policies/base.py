@@ -7,7 +7,6 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, ArrayLike, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
-from owm_envs.station import goal_poses
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout
 from owm_envs.view import View
@@ -78,9 +77,11 @@ def pd_torque(
     return scale * (ATTITUDE_GAIN * error + RATE_GAIN * (rate - view.rate))
 
 
-def goal_of(port: Int[Array, ""], dtype: DTypeLike) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
-    """Hold position m and attitude of a port, station frame."""
-    goal = jnp.asarray(goal_poses(), dtype)[port]
+def goal_of(
+    goals: Float[Array, "8 7"], port: Int[Array, ""], dtype: DTypeLike
+) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+    """Hold position m and attitude of a port, station frame, of those of all ports."""
+    goal = jnp.asarray(goals, dtype)[port]
     return goal[:3], goal[3:]
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from owm_envs.config.params import goals_of
 from owm_envs.env import docking_env
 from owm_envs.episode import POLICY_NAMES
 from owm_envs.policies.base import ScriptedPolicy, Vehicle
@@ -20,7 +21,8 @@ def make_policy(name: str, env: Any, *, geodesic_field: Any = None) -> ScriptedP
     Args:
         name: one of `POLICY_NAMES`.
         env: to be flown: a `DockingEnv`, its configuration, or a Gymnasium environment over it, scalar or vector.
-        geodesic_field: a `GeodesicField` for those that follow one; the station's own when None.
+        geodesic_field: a `GeodesicField` for those that follow one; when None the station's own, or that about a target
+            with a hold pose of its own.
 
     Raises:
         ValueError: the name is unknown (naming the nearest).
@@ -37,12 +39,12 @@ def make_policy(name: str, env: Any, *, geodesic_field: Any = None) -> ScriptedP
     if name == "orbit":
         return OrbitPolicy(vehicle, layout=layout)
     if name == "dock":
-        return DockPolicy(vehicle, layout=layout)
+        return DockPolicy(vehicle, goals_of(env.config), layout=layout)
     if name == "excite":
         return ExcitePolicy(vehicle, layout=layout, hold=max(1, round(2.0 / decision_dt)))
     if name == "dock-safe":
-        geodesic_field, rows = prepared(geodesic_field)
+        known = prepared(env.config, geodesic_field)
         drift = jnp.asarray(drift_beside(env.config.chief.semi_major_axis))
-        return DockSafePolicy(vehicle, geodesic_field, rows, drift, layout=layout)
+        return DockSafePolicy(vehicle, *known, drift, layout=layout, turning=env.structure.turning)
     kinds = {kind.name: kind for kind in (DockGeodesicPolicy, DockGeodesicIntegralPolicy)}
-    return kinds[name](vehicle, *prepared(geodesic_field), layout=layout)
+    return kinds[name](vehicle, *prepared(env.config, geodesic_field), layout=layout)

@@ -5,9 +5,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
+from owm_envs.config import DockingConfig
+from owm_envs.config.params import goals_of, hull_of
 from owm_envs.field import GeodesicField, field_rows, load_field
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of, limit_norm, read_view
 from owm_envs.policies.guidance import field_speed
@@ -18,11 +21,21 @@ from owm_envs.view import View
 _STATIC = {"static": True}
 
 
-def prepared(geodesic_field: GeodesicField | None = None) -> tuple[GeodesicField, Int[Array, "8"]]:
-    """A field, the station's own when None, and its row of each port."""
-    geodesic_field = load_field() if geodesic_field is None else geodesic_field
+def field_of(config: DockingConfig) -> GeodesicField:
+    """The station's own field, or that about the hull of a target which has a hold pose of its own."""
+    if config.target.hold is None:
+        return load_field()
+    return load_field(config.ports[:1], hull_of(config), poses=goals_of(config))
+
+
+def prepared(
+    config: DockingConfig, geodesic_field: GeodesicField | None = None
+) -> tuple[GeodesicField, Int[Array, "8"], Float[np.ndarray, "8 7"]]:
+    """What a policy flies by: a field, `field_of` the configuration when None, its row of each port, and the goals."""
+    geodesic_field = field_of(config) if geodesic_field is None else geodesic_field
+    goals = goals_of(config)
     # On the device once, not with every call: the field takes 150 MB.
-    return jax.tree.map(jnp.asarray, geodesic_field), field_rows(geodesic_field)
+    return jax.tree.map(jnp.asarray, geodesic_field), field_rows(geodesic_field, goals), goals
 
 
 @jax.tree_util.register_dataclass
@@ -41,6 +54,8 @@ class DockGeodesicPolicy:
     """A `GeodesicField`."""
     rows: Int[Array, "8"]
     """Its row of each port, -1 where it has none: there the action is not finite, which ends the episode."""
+    goals: Float[Array, "8 7"]
+    """Hold pose of each port: m, quaternion body to station."""
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic", metadata=_STATIC)
 
@@ -51,7 +66,7 @@ class DockGeodesicPolicy:
     def act(self, state: Int[Array, ""], observation: Observation) -> tuple[Float[Array, "6"], Int[Array, ""]]:
         """Track the field's velocity."""
         view = read_view(self.layout, observation)
-        accel, angular = _track(self.field, self.rows, state, view)
+        accel, angular = _track(self.field, self.rows, self.goals, state, view)
         return self.layout.action(body_wrench(self.vehicle, view, accel, angular)), state
 
 
@@ -76,6 +91,7 @@ class DockGeodesicIntegralPolicy:
     vehicle: Vehicle
     field: Any
     rows: Int[Array, "8"]
+    goals: Float[Array, "8 7"]
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic-integral", metadata=_STATIC)
 
@@ -87,10 +103,10 @@ class DockGeodesicIntegralPolicy:
         """Track the field's velocity with what has been added up."""
         view = read_view(self.layout, observation)
         dtype, vehicle = view.position.dtype, self.vehicle
-        accel, angular = _track(self.field, self.rows, state.port, view)
+        accel, angular = _track(self.field, self.rows, self.goals, state.port, view)
         command = body_wrench(vehicle, view, accel + state.accel, angular + state.angular)
 
-        position, attitude = goal_of(state.port, dtype)
+        position, attitude = goal_of(self.goals, state.port, dtype)
         offset, turn = position - view.position, attitude_error(view, attitude)
         near = (safe_norm(offset) < 3.0) & (safe_norm(turn) < 0.2)
         free = safe_norm(command[:3]) < 0.999 * vehicle.force_limit
@@ -108,17 +124,17 @@ class DockGeodesicIntegralPolicy:
 
 
 def _track(
-    geodesic_field: GeodesicField, rows: Int[Array, "8"], port: Int[Array, ""], view: View
+    geodesic_field: GeodesicField, rows: Int[Array, "8"], goals: Float[Array, "8 7"], port: Int[Array, ""], view: View
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """The accelerations that lead to the field's velocity and towards the port's attitude: station, body axes."""
     speed, gradient, _ = field_speed(geodesic_field, jnp.asarray(rows)[port], view.position)
     wanted = -speed * gradient / jnp.maximum(safe_norm(gradient), 1e-6)
-    return (wanted - view.velocity) / 2.0, turn_towards(port, view)
+    return (wanted - view.velocity) / 2.0, turn_towards(goal_of(goals, port, view.position.dtype)[1], view)
 
 
-def turn_towards(port: Int[Array, ""], view: View) -> Float[Array, "3"]:
-    """The angular acceleration, rad/s2 in body axes, that leads to the attitude of a port."""
-    error = attitude_error(view, goal_of(port, view.position.dtype)[1])
+def turn_towards(attitude: Float[Array, "4"], view: View) -> Float[Array, "3"]:
+    """The angular acceleration, rad/s2 in body axes, that leads to an attitude."""
+    error = attitude_error(view, attitude)
     angle = safe_norm(error)
     turn = jnp.minimum(0.05, jnp.minimum(jnp.sqrt(0.02 * jnp.maximum(angle, 1e-9)), angle / 5.0))
     return (turn * error / jnp.maximum(angle, 1e-9) - view.rate) / 2.0

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float, Int
 from astrojax.attitude import quat_rotate
 from astrojax.orbits import mean_motion
 from owm_envs.field import GeodesicField, clearance, cost_to_go
-from owm_envs.field.drift import drift_matrices, drift_shortfall
+from owm_envs.field.drift import drift_matrices, drift_seen_turning, drift_shortfall
+from owm_envs.policies.turning import Turning, goes_round_hard, velocity_apart, way_across, way_in
 from owm_envs.task.events import safe_norm
 
 DRIFT_TIMES = np.concatenate([np.arange(4.0, 80.0, 4.0), np.arange(80.0, 361.0, 14.0)])
@@ -58,6 +59,7 @@ class Goal(NamedTuple):
         pace: share of the usual speeds, for a vehicle that answers slowly.
         steady: m before the hold pose, from where on the closing speed is that at contact.
         gate: m before the hold pose, where to wait.
+        turning: of a target that turns, from `goal_of_turning`; None for one at rest.
     """
 
     field: GeodesicField
@@ -67,6 +69,7 @@ class Goal(NamedTuple):
     pace: Float[Array, ""] | float = 1.0
     steady: Float[Array, ""] | float = _CONTACT * _CLOSING_TIME
     gate: Float[Array, ""] | float = -10.0
+    turning: Turning | None = None
 
 
 def drift_beside(semi_major_axis: float) -> Float[np.ndarray, "T 3 6"]:
@@ -74,6 +77,14 @@ def drift_beside(semi_major_axis: float) -> Float[np.ndarray, "T 3 6"]:
     with jax.enable_x64(True):
         rate = float(mean_motion(jnp.asarray(semi_major_axis, jnp.float64)))
     return drift_matrices(rate, DRIFT_TIMES)
+
+
+def goal_of_turning(goal: Goal, rate: Float[Array, "3"]) -> Goal:
+    """The goal of a target that turns at `rate`, rad/s in its own axes."""
+    drift = goal.drift
+    if drift is not None:
+        drift = drift_seen_turning(jnp.asarray(drift, rate.dtype), jnp.asarray(DRIFT_TIMES, rate.dtype), rate)
+    return goal._replace(drift=drift, turning=Turning.about(rate, goal.pose))
 
 
 def field_speed(
@@ -101,6 +112,8 @@ def safe_velocity(goal: Goal, position: Float[Array, "3"], velocity: Float[Array
     the cost-to-go, at no more than 0.25 m/s + 0.15 / s of clearance and 0.1 m/s + 1 m/s every 13 m of distance. The
     last 5 m lead straight down the port's axis, to a contact at 0.078 m/s; off the axis it holds back.
 
+    To a target that turns the way from afar leads straight in, and all this comes on top of `velocity_apart`.
+
     Chosen on the nominal starts of `owm.scores.docking.trials(per_port=6, seed=501)`.
     """
     speed, gradient, gap = field_speed(goal.field, goal.port, position)
@@ -109,9 +122,18 @@ def safe_velocity(goal: Goal, position: Float[Array, "3"], velocity: Float[Array
     speed = goal.pace * jnp.minimum(speed, jnp.minimum(0.25 + 0.15 * jnp.maximum(gap, 0), 0.1 + away / 13.0))
     down = -gradient / jnp.maximum(safe_norm(gradient), 1e-6)
     passes = (gap > NEAR) & (jnp.asarray(goal.pace) >= 1)
-    wanted = jnp.where(passes, _passing_by(goal, position, velocity, speed, down), speed * down)
+    beside = None
+    if goal.turning is not None:
+        beside = velocity_apart(goal.turning, position)
+        speed, down = way_in(goal.turning, position, speed, down)
+        passes = passes & ~goes_round_hard(goal.turning, position)
+    wanted = jnp.where(passes, _passing_by(goal, position, velocity, speed, down, beside), speed * down)
+    if goal.turning is not None:
+        aside, across = way_across(goal.turning, position, speed)
+        wanted = jnp.where(aside, across, wanted)
     last, closing = _last_leg(goal, position)
-    return jnp.where(lacking, jnp.nan, jnp.where(last, closing, wanted))
+    wanted = jnp.where(last, closing, wanted)
+    return jnp.where(lacking, jnp.nan, wanted if beside is None else wanted + beside)
 
 
 def _passing_by(
@@ -120,16 +142,21 @@ def _passing_by(
     velocity: Float[Array, "3"],
     speed: Float[Array, ""],
     down: Float[Array, "3"],
+    beside: Float[Array, "3"] | None,
 ) -> Float[Array, "3"]:
-    """The velocity of most progress whose drift keeps clear; where none does, the one that falls least short."""
+    """The velocity of most progress whose drift keeps clear; where none does, the one that falls least short.
+
+    `beside` is a velocity that is flown anyway, and not part of what is returned.
+    """
     dtype = position.dtype
     directions = jnp.asarray(_DIRECTIONS, dtype) @ _axes(down)
     velocities = jnp.concatenate([speed * directions, 0.5 * speed * directions])
 
     def score(wanted):
-        change = wanted - velocity
+        whole = wanted if beside is None else wanted + beside
+        change = whole - velocity
         soon = velocity + _FIRST_PART * change
-        lost = jnp.minimum(drift_short(goal, position, wanted) + drift_short(goal, position, soon), _CAP)
+        lost = jnp.minimum(drift_short(goal, position, whole) + drift_short(goal, position, soon), _CAP)
         return jnp.sum(wanted * down) - _WEIGHT * lost - _STEADY * jnp.sum(change * change)
 
     return velocities[jnp.argmax(jax.vmap(score)(velocities))]

@@ -167,6 +167,8 @@ class DockPolicy:
     """Critically damped PD straight to the port's hold pose, whatever stands in between."""
 
     vehicle: Vehicle
+    goals: Float[Array, "8 7"]
+    """Hold pose of each port: m, quaternion body to station."""
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock", metadata=_STATIC)
 
@@ -177,7 +179,7 @@ class DockPolicy:
     def act(self, state: Int[Array, ""], observation: Observation) -> tuple[Float[Array, "6"], Int[Array, ""]]:
         """Pull towards the hold pose."""
         view = read_view(self.layout, observation)
-        position, attitude = goal_of(state, view.position.dtype)
+        position, attitude = goal_of(self.goals, state, view.position.dtype)
         force = pd_force(view, position, 0.0, mass=self.vehicle.mass)
         torque = pd_torque(view, attitude_error(view, attitude), 0.0, inertia=self.vehicle.inertia)
         return self.layout.action(jnp.concatenate([force, torque])), state

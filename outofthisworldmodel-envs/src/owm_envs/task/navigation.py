@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Key
 
@@ -13,7 +14,7 @@ from astrojax.compilation import stored
 from owm_envs.config.params import NoiseParams
 from owm_envs.task.events import safe_norm
 from owm_envs.task.noise_stream import standard_normal
-from owm_envs.task.sensors import STATE, Truth
+from owm_envs.task.sensors import STATE, TARGET_RATE, Truth
 from owm_envs.view import VIEW_SIZE, View
 
 
@@ -31,6 +32,22 @@ class RelativeNavigation:
     def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "13"]:
         """The measured view; its errors come from `truth.stream`, not from `key`."""
         return measure(truth.params.noise, truth.view, truth.bias, key=truth.stream, count=truth.count)
+
+
+@dataclass(frozen=True)
+class TargetRate:
+    """The rate of a target that turns, rad/s in its own axes, with the error of the chaser's own measured rate."""
+
+    name: ClassVar[str] = TARGET_RATE
+    shape: ClassVar[tuple[int, ...]] = (3,)
+    dtype: ClassVar[str] = "float32"
+    every: ClassVar[int] = 1
+    may_miss: ClassVar[bool] = False
+
+    def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "3"]:
+        """The measured rate."""
+        spread = truth.params.noise.rate.astype(jnp.float32) / np.sqrt(3, dtype=np.float32)
+        return truth.params.target_rate.astype(jnp.float32) + spread * jax.random.normal(key, (3,), jnp.float32)
 
 
 def start_bias(dtype: DTypeLike, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:

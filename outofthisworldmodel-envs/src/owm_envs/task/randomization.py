@@ -19,6 +19,7 @@ ELEMENTS = ("semi-major axis", "eccentricity", "inclination", "raan", "argument 
 VARIATIONS: dict[str, tuple[str, ...]] = {
     "vehicle": ("mass_scale", "inertia_scale", "thrust_scale", "misalignment", "actuation_delay"),
     "fault": ("fault",),
+    "target": ("target_rate",),
     "orbit": ("chief_elements",),
     "light": ("sun_scale", "earthshine_scale", "lamp_scale"),
     "camera": ("exposure", "offset", "tilt", "field_scale"),
@@ -49,14 +50,21 @@ class Drawn(NamedTuple):
     """Rotation vector, rad."""
     actuation_delay: Int[Array, ""]
     """Simulation steps."""
+    target_rate: Float[Array, "3"] | None
+    """rad/s, in the target's axes; None where it never turns."""
     chief_elements: Float[Array, "6"]
     """[m, -, rad, rad, rad, rad]."""
     fault: DrawnFault | None
     """None where thrusters never fail."""
 
 
-def draw(ranges: RandomizationParams, *, faulty: bool = False, key: Key[Array, ""]) -> Drawn:
-    """Draw one episode's numbers, uniformly within `ranges`, each under a key of its own; of a fault only if asked."""
+def draw(ranges: RandomizationParams, *, faulty: bool = False, turning: bool = False, key: Key[Array, ""]) -> Drawn:
+    """Draw one episode's numbers, uniformly within `ranges`, each under a key of its own.
+
+    Args:
+        faulty: whether to draw a fault.
+        turning: whether to draw the target's rate.
+    """
     dtype = ranges.mass_scale.dtype
 
     def uniform(name, bounds, shape=()):
@@ -81,6 +89,7 @@ def draw(ranges: RandomizationParams, *, faulty: bool = False, key: Key[Array, "
         thrust_scale=uniform("thrust", ranges.thrust_scale, (6,)),
         misalignment=turn("misalignment", ranges.misalignment),
         actuation_delay=jax.random.randint(named_key(key, "delay"), (), delay[0], delay[1] + 1, jnp.int32),
+        target_rate=turn("target rate", ranges.target_rate) if turning else None,
         chief_elements=jnp.stack([uniform(f"chief {n}", r) for n, r in zip(ELEMENTS, ranges.chief_elements)]),
         fault=fault() if faulty else None,
     )
@@ -108,6 +117,7 @@ def episode_params(params: Params, drawn: Drawn | None) -> Params:
             actuation_delay=chaser.actuation_delay + drawn.actuation_delay,
             fault=fault,
         ),
+        target_rate=params.target_rate + (0 if drawn.target_rate is None else drawn.target_rate),
         chief=chief._replace(elements=chief.elements + drawn.chief_elements),
     )
 
@@ -121,7 +131,8 @@ def named_draws(drawn: Drawn) -> dict[str, Array]:
     """Every draw by its name, those of a fault as `fault_time` and so on."""
     named = drawn._asdict()
     fault = named.pop("fault")
-    return named | ({} if fault is None else {f"fault_{name}": value for name, value in fault._asdict().items()})
+    named |= {} if fault is None else {f"fault_{name}": value for name, value in fault._asdict().items()}
+    return {name: value for name, value in named.items() if value is not None}
 
 
 def drawable(config: DockingConfig) -> list[str]:

@@ -24,6 +24,10 @@ STATE_VALID = "state_valid"
 """Beside it where relative navigation may go quiet: whether it was measured at this very instant, shape (1,)."""
 
 
+TARGET_RATE = "target_rate"
+"""Of a target that turns: its rate, rad/s in its own axes, shape (3,)."""
+
+
 class Truth(NamedTuple):
     """The truth at one instant of one episode: all that a sensor may look at."""
 

@@ -12,6 +12,7 @@ from astrojax.attitude import quat_conjugate, quat_rotate
 from astrojax.constants import GM_EARTH
 from owm.baselines.ekf import Belief, ErrorStateEKF
 from owm.planning.mpc import Corridor, Tracking, solve, tracking
+from owm_envs.config.params import goals_of
 from owm_envs.env import DockingEnv
 from owm_envs.policies.base import Vehicle, attitude_error, goal_of
 from owm_envs.task.events import safe_norm
@@ -95,6 +96,8 @@ class ClassicalPolicy:
     """
 
     vehicle: Vehicle
+    goals: Float[Array, "8 7"]
+    """Hold pose of each port: m, quaternion body to station."""
     problem: Tracking
     params: Any
     """Of the filter."""
@@ -126,7 +129,7 @@ class ClassicalPolicy:
         belief = jax.tree.map(lambda a, b: jnp.where(state.started, a, b), followed, first)
         view = View.of(belief.view)
 
-        goal, attitude = goal_of(state.port, view.position.dtype)
+        goal, attitude = goal_of(self.goals, state.port, view.position.dtype)
         accelerations = self.translate(view, corridor_of(goal, attitude), state.accelerations)
         force = quat_rotate(quat_conjugate(view.attitude), self.vehicle.mass * accelerations[0])
         wrench = jnp.concatenate([force, self.turn(view, attitude)]).astype(jnp.float32)
@@ -171,4 +174,4 @@ def classical_policy(env: DockingEnv) -> ClassicalPolicy:
     vehicle = Vehicle(chaser.mass, chaser.inertia, chaser.force_limit, chaser.torque_limit, config.decision_dt)
     ekf = ErrorStateEKF(config, process_noise=PROCESS_NOISE, dt=config.decision_dt)
     rate = (GM_EARTH / config.chief.semi_major_axis**3) ** 0.5
-    return ClassicalPolicy(vehicle, tracking(rate), ekf.params, ekf=ekf, layout=env.layout)
+    return ClassicalPolicy(vehicle, goals_of(config), tracking(rate), ekf.params, ekf=ekf, layout=env.layout)

@@ -278,11 +278,11 @@ def load_policy(
         from owm.baselines.classical import classical_policy
 
         return VectorPolicy(classical_policy(env), seed=seed)
-    from owm_envs.field import load_field
+    from owm_envs.policies.geodesic import field_of
 
     name = kind if kind == policy else "/".join(Path(policy).parts[-2:])
     if field is None and kind != "ppo":
-        field = load_field()
+        field = field_of(env.config)
     if kind in ("ppo", "ppo-field"):
         from owm.baselines.ppo.policy import PPOPolicy
 

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from owm.planning.config import Shape, Tuning
 from owm.planning.effect import Effect, authority, wrench_for
 from owm.planning.facing import facing, is_crippled, is_turned, missing_forces
-from owm.planning.reference import safe_reference
+from owm.planning.reference import safe_reference, turning_reference
 from owm_envs.field import clearance
 from owm_envs.policies.guidance import Goal
 from owm_envs.view import View
@@ -41,12 +41,14 @@ class Approach(NamedTuple):
         tuning: with the rate to turn at.
         path: to track, m and m/s in the station frame, now and every step.
         share: of each axis's noise and warm start.
+        rates: rad/s to turn at, now and every step, beside a target that turns; else None.
     """
 
     goal: Goal
     tuning: Tuning
     path: Float[Array, "T+1 6"]
     share: Float[Array, "6"]
+    rates: Float[Array, "T+1 3"] | None = None
 
 
 def safe_approach(
@@ -60,27 +62,38 @@ def safe_approach(
     changed = {name: jnp.where(crippled, value, getattr(goal, name)) for name, value in _CRIPPLED.items()}
     goal = goal._replace(**changed, gate=jnp.where(waits, _GATE, goal.gate))
     able = _SHARE * authority(effect)
-    path = safe_reference(goal, view, shape.latency + shape.horizon, dt, able)[shape.latency :]
+    steps = shape.latency + shape.horizon
+    path = safe_reference(goal, view, steps, dt, able)[shape.latency :]
     held = facing(missing, view, goal.pose, path)
     turning = crippled & (jnp.abs(jnp.sum(held * attitude)) < _TURNED) & ~_leads_into_the_hull(goal, view)
     rate = jnp.where(crippled, _TURNING_RATE, tuning.weights.top_rate)
+    goal = goal._replace(pose=goal.pose.at[3:].set(held))
+    weights = tuning.weights._replace(top_rate=rate)
+    rates = None
+    if goal.turning is not None:
+        rates = turning_reference(weights, goal.pose, view, steps, dt)[shape.latency :]
     return Approach(
-        goal=goal._replace(pose=goal.pose.at[3:].set(held)),
-        tuning=tuning._replace(weights=tuning.weights._replace(top_rate=rate)),
+        goal=goal,
+        tuning=tuning._replace(weights=weights),
         path=path,
         share=jnp.where(turning & (np.arange(6) < 3), _WHILE_TURNING, 1).astype(view.dtype),
+        rates=rates,
     )
 
 
-def led_along(path: Float[Array, "T+1 6"], effect: Effect, plan: Float[Array, "T 6"], dt: float) -> Float[Array, "T 6"]:
-    """Return a plan with those forces that, by what actions do, lead along a path.
+def led_along(approach: Approach, effect: Effect, plan: Float[Array, "T 6"], dt: float) -> Float[Array, "T 6"]:
+    """Return a plan with those forces, and torques where rates are given, that by what actions do lead along a path.
 
     Averaging candidates alone follows a reference late, or with all their noise.
     """
-    change = jnp.diff(path[:, 3:], axis=0) * (effect.elapsed / dt)
-    change = jnp.concatenate([change, jnp.broadcast_to(effect.change[3:], change.shape)], axis=1)
-    force = jnp.clip(wrench_for(effect, change)[:, :3], -1, 1)
-    led = jnp.concatenate([force, plan[:, 3:]], axis=1)
+    change = jnp.diff(approach.path[:, 3:], axis=0) * (effect.elapsed / dt)
+    if approach.rates is None:
+        turning = jnp.broadcast_to(effect.change[3:], change.shape)
+    else:
+        turning = jnp.diff(approach.rates, axis=0) * (effect.elapsed / dt)
+    led = jnp.clip(wrench_for(effect, jnp.concatenate([change, turning], axis=1)), -1, 1)
+    if approach.rates is None:
+        led = jnp.concatenate([led[:, :3], plan[:, 3:]], axis=1)
     return jnp.where(jnp.all(jnp.isfinite(led)), led, plan)
 
 

@@ -102,10 +102,15 @@ def angle(w: Weights, step: Step) -> Float[Array, ""]:
 
 def rate_profile(w: Weights, step: Step) -> Float[Array, ""]:
     """Squared error to a rate towards the goal attitude, no faster than can be braked."""
-    angle = _norm(step.turn)
+    return jnp.sum((step.rate - wanted_rate(w, step.turn)) ** 2)
+
+
+def wanted_rate(w: Weights, turn: Float[Array, "3"]) -> Float[Array, "3"]:
+    """The rate to turn at, rad/s, with a rotation vector yet to go."""
+    angle = _norm(turn)
     spin = jnp.minimum(w.top_rate, jnp.sqrt(w.rate_braking * jnp.maximum(angle, 1e-9)))
     spin = jnp.minimum(spin, angle / w.turning_time)
-    return jnp.sum((step.rate - spin * step.turn / jnp.maximum(angle, 1e-9)) ** 2)
+    return spin * turn / jnp.maximum(angle, 1e-9)
 
 
 def effort(w: Weights, step: Step) -> Float[Array, ""]:

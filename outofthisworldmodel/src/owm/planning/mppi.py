@@ -24,8 +24,8 @@ from owm.planning.sampler import sample_candidates
 from owm.planning.update import average, candidate_weights, shifted
 from owm_envs.field import clearance
 from owm_envs.flags import own_promotion
-from owm_envs.policies.guidance import Goal
-from owm_envs.task.sensors import STATE
+from owm_envs.policies.guidance import Goal, goal_of_turning
+from owm_envs.task.sensors import STATE, TARGET_RATE
 from owm_envs.view import VIEW_SIZE, View
 
 
@@ -98,6 +98,8 @@ def plan(
     dtype = state.plan.dtype
     measured = history.observation[STATE][-1].astype(dtype)
     goal = goal._replace(pose=goal.pose.astype(dtype))
+    if TARGET_RATE in history.observation:
+        goal = goal_of_turning(goal, history.observation[TARGET_RATE][-1].astype(dtype))
     learned = _corrected(shape, model.dt, tuning, state, measured)
 
     position = View.of(measured).position
@@ -107,7 +109,7 @@ def plan(
     if shape.objective == "safe":
         approach = safe_approach(shape, model.dt, tuning, goal, state.effect, measured)
         goal, tuning, reference = approach.goal, approach.tuning, approach.path[1:]
-        led = approach.share * led_along(approach.path, state.effect, state.plan, model.dt)
+        led = approach.share * led_along(approach, state.effect, state.plan, model.dt)
         sigma, warm = approach.share * sigma, jnp.where(state.started, led, warm)
     candidates = sample_candidates(shape, sigma, warm, key=key)
 

@@ -16,14 +16,16 @@ from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
 from owm.planning.health import Health, usable
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
+from owm.planning.turning import BeforeTurning, transition_at_rest
+from owm_envs.config.params import goals_of
 from owm_envs.cores import workers
 from owm_envs.env import DockingEnv, docking_env
 from owm_envs.field import GeodesicField, field_rows
 from owm_envs.flags import own_flags
 from owm_envs.policies import SlotPolicy, Slots
 from owm_envs.policies.guidance import Goal, drift_beside
-from owm_envs.station import PORT_NAMES, goal_poses
-from owm_envs.task.sensors import STATE
+from owm_envs.station import PORT_NAMES
+from owm_envs.task.sensors import STATE, TARGET_RATE
 from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import checked_seed
 
@@ -78,7 +80,7 @@ class PlannerPolicy(SlotPolicy):
 
     Args:
         model: a world model; its `precision`, "float32" unless it says otherwise, decides in which mode it
-            runs.
+            runs. It is one of a target at rest, whatever the environment's does.
         field: geodesic field that covers the ports to be flown, from `owm_envs.field.load_field`.
         env: the environment to be flown, pure or Gymnasium's, or its configuration: layout, wrench limits, decision
             rate.
@@ -116,7 +118,7 @@ class PlannerPolicy(SlotPolicy):
                 f"set steps_per_action={round(model.dt / env.config.dt)}"
             )
         super().__init__(f"mppi, {model.name}", env.layout, num_slots)
-        self.model = model
+        self.model = BeforeTurning(model) if env.structure.turning else model
         self.config = PlannerConfig() if config is None else config
         self.seconds: list[float] = []
         self._predicts = False
@@ -124,9 +126,10 @@ class PlannerPolicy(SlotPolicy):
         self._seed = np.uint32(checked_seed(seed, bits=32))
         self._wide = getattr(model, "precision", "float32") == "float64"
         self._tuning = self.config.tuning(env.layout.wrench_limit)
-        self._goals = goal_poses().astype(np.float32)
-        self._rows = field_rows(field)
-        self._parts = _model_parts(model, env)
+        goals = goals_of(env.config)
+        self._goals = goals.astype(np.float32)
+        self._rows = field_rows(field, goals)
+        self._parts = _model_parts(self.model, env)
         self._field = jax.device_put(field)
         self._drift = None
         if self.config.objective == "safe":
@@ -203,7 +206,10 @@ class PlannerPolicy(SlotPolicy):
             # taken for the action's work.
             telling = slots.active & ~slots.fresh & ((state.index > 1) | (self.config.latency > 0))
             telling &= slots.measured & state.measured
-            known = jax.device_get(_learn(self._learner, known, telling, before, executed, continuous))
+            seen_then, seen_now = before, continuous
+            if TARGET_RATE in self._parts:
+                seen_then, seen_now = transition_at_rest(before, continuous, seen[TARGET_RATE], self.model.dt)
+            known = jax.device_get(_learn(self._learner, known, telling, seen_then, executed, seen_now))
         latest = seen | {STATE: continuous}
         longer = state._replace(
             observation={
