@@ -24,9 +24,11 @@ from owm_envs.datasets.statistics import (
     pixel_statistics,
     united,
 )
+from owm_envs.env import DockingEnv
 from owm_envs.episode import Episode
 from owm_envs.files import remove, write_atomically
 from owm_envs.station.ports import PORT_NAMES
+from owm_envs.task.sensors import STATE, STATE_VALID
 from owm_envs.video import CODEC, join_videos, pixel_format
 
 FILES_PER_CHUNK = 1000
@@ -262,7 +264,7 @@ class Recorder:
 
 @contextmanager
 def recording(folder: Path, config: DockingConfig, policy: str | None = None) -> Iterator[Recorder]:
-    """Write flights that are at hand as a dataset of one split, in place of one that is there.
+    """Write flights that are at hand as a dataset of one split, in place of one that is there; of relative navigation.
 
     Once left, with at least one episode in it, the folder is a dataset.
 
@@ -272,12 +274,13 @@ def recording(folder: Path, config: DockingConfig, policy: str | None = None) ->
         policy: who flew, if it is none of `POLICY_NAMES`; kept in the folder's info.json.
     """
     remove(folder)
+    parts = {n: part for n, part in DockingEnv(config).observation_parts.items() if n in (STATE, STATE_VALID)}
     fps, pieces = 1 / config.decision_dt, Pieces(folder / "pieces")
     recorder = Recorder(pieces, fps)
     yield recorder
     write_atomically(folder / "config.toml", lambda file: file.write(config.to_toml()), text=True)
-    split = write_split(folder, pieces, range(recorder.episodes), fps, {})
-    write_meta(folder, split, split.statistics, fps, {}, {} if policy is None else {"policy": policy})
+    split = write_split(folder, pieces, range(recorder.episodes), fps, parts)
+    write_meta(folder, split, split.statistics, fps, parts, {} if policy is None else {"policy": policy})
     remove(pieces.folder)
 
 

@@ -25,6 +25,7 @@ from owm_envs.task.reward import reward
 from owm_envs.task.selected import apply_where
 from owm_envs.task.sensors import (
     STATE,
+    STATE_VALID,
     Sensor,
     Truth,
     age_name,
@@ -130,7 +131,11 @@ class DockingEnv:
             require_dynamics(dynamics)
         self.dynamics = DYNAMICS[self.config.fidelity](self.config) if dynamics is None else dynamics
         self.given_sensors = tuple(sensors)
-        self.sensors = require_sensors([RelativeNavigation(self.config.precision), *_camera(self.config), *sensors])
+        structure = self.structure
+        navigation = RelativeNavigation(
+            structure.precision, structure.steps_per_action, structure.quiet, structure.heavy_tailed
+        )
+        self.sensors = require_sensors([navigation, *_camera(self.config), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -170,9 +175,8 @@ class DockingEnv:
     @property
     def shown_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
         """Those parts that the configured `observation` has; adapters show no other."""
-        return {
-            n: part for n, part in self.observation_parts.items() if n != STATE or "state" in self.config.observation
-        }
+        hidden = () if "state" in self.config.observation else (STATE, STATE_VALID)
+        return {name: part for name, part in self.observation_parts.items() if name not in hidden}
 
     @property
     def costly(self) -> bool:
