@@ -21,6 +21,7 @@ ALL = load_config(
     fidelity="iss-numerical",
     precision="float32",
     noise={"position": 0.1, "bias": {"position": 0.1, "rate": 1e-5}},
+    navigation={"outage_share": 0.3, "outlier_share": 0.1},
     hull=[BOX],
     obstacles=[BOX],
     chaser={"thrusters": "on_off", "actuation_delay": 1, "fault": {"leak": (1.0,) * 6}},

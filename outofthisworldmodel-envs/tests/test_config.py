@@ -124,7 +124,8 @@ def test_every_number_reaches_the_parameters():
         "forces",
     }
     with jax.enable_x64(True):
-        base = load_config(chaser={"fault": {"leak": (1.0,) * 6}})  # without, a fault has no parameters
+        # Without, neither has parameters.
+        base = load_config(chaser={"fault": {"leak": (1.0,) * 6}}, navigation={"outage_share": 0.3})
         plain = jax.tree.leaves(params_from_config(base))
         for path in fields(DockingConfig):
             if path[0] in aside or path == ("chaser", "thrusters") or "camera" in path:  # has a test of its own

@@ -279,6 +279,25 @@ def test_mistakes_name_what_is_allowed(arguments, message):
         make_vec_env(**arguments)
 
 
+def test_outages_are_a_part_of_their_own_which_policies_of_several_inputs_see():
+    """Half of the time blind, a second at a time: what is held, what is told, at the end of an episode too."""
+    quiet = {"outage_duration": 1.0, "outage_share": 0.5}
+    venv = make_vec_env("iss-hcw", SLOTS, seed=5, steps_per_action=5, navigation=quiet, **SHORT)
+    observation, seen = venv.reset(), []
+    assert observation["state_valid"].all() and observation["state_valid"].shape == (SLOTS, 1)
+    for action in actions(40):
+        before = observation["state"]
+        observation, _, done, infos = venv.step(action)
+        valid = observation["state_valid"][:, 0].astype(bool)
+        np.testing.assert_array_equal((observation["state"] == before).all(axis=1), ~valid)
+        seen.append(valid)
+        for slot in np.flatnonzero(done):
+            assert set(infos[slot]["terminal_observation"]) == {"state", "state_valid"}
+    assert 0.3 < np.mean(seen) < 0.8
+    normalized = VecNormalize(venv, norm_obs_keys=["state"])
+    PPO("MultiInputPolicy", normalized, n_steps=8, batch_size=8, n_epochs=1).learn(24)
+
+
 def test_without_stable_baselines_the_error_names_the_extra():
     code = (
         "import sys; sys.modules['stable_baselines3'] = None\n"

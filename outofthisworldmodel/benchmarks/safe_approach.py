@@ -3,8 +3,7 @@
 python benchmarks/safe_approach.py                                # 25 flights to each port, some 20 minutes
 python benchmarks/safe_approach.py --flights 3 --policies dock-safe
 python benchmarks/safe_approach.py --pictures docs/results/figures
-python benchmarks/safe_approach.py --flights 3 --seed 11 --outages 10         # quiet for 10 s, again and again
-python benchmarks/safe_approach.py --flights 2 --conditions "force x dead" leak
+python benchmarks/safe_approach.py --flights 2 --conditions "force x dead" leak "outages of 10 s"
 
 Every policy flies the same starts, in `iss-numerical` with cooperative noise unless a condition of
 `owm.study.conditions` says otherwise; after a model stands how it is planned
@@ -23,7 +22,6 @@ from owm.report.safety import coast_figure, front_figure
 from owm.scores.coasting import Coasts, add_coasts, coasts_of
 from owm.scores.docking import fly_episodes, trials
 from owm.scores.flights import score
-from owm.scores.outages import Outages
 from owm.study.conditions import Condition, condition
 from owm.study.matrix import planner_of
 from owm_envs.field import GeodesicField, load_field
@@ -38,8 +36,7 @@ def fly(options: argparse.Namespace, name: str, flown_in: Condition, field: Geod
     seeds, ports = trials(per_port=options.flights, seed=options.seed)
     slots = min(100, len(seeds))
     policy = load_policy(source, flown_in.told(), slots, planner=planner_of(planner or "geodesic"), field=field)
-    quiet = Outages(options.outages) if options.outages else flown_in.outages
-    flights = fly_episodes(policy, flown_in.flown(), seeds, ports, slots=slots, outages=quiet)
+    flights = fly_episodes(policy, flown_in.flown(), seeds, ports, slots=slots)
     scores = score(add_coasts(flights, field))
     figures = {
         "flights": len(seeds),
@@ -64,7 +61,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--policies", nargs="+", default=POLICIES)
     parser.add_argument("--conditions", nargs="+", default=["nominal"])
-    parser.add_argument("--outages", type=float, help="s for which relative navigation is quiet, again and again")
     parser.add_argument("--pictures", type=Path, help="folder to draw into")
     options = parser.parse_args()
     field, console = load_field(), Console()

@@ -34,7 +34,7 @@ def fly(
 
     Args:
         policy: pretrained, dock, dock-geodesic, dock-geodesic-integral, dock-safe, random, orbit, excite, ekf-mpc,
-            oracle-mppi, constant-velocity, the folder of a checkpoint, online:FOLDER, zeroed:FOLDER,
+            ekf-mpc-gated, oracle-mppi, constant-velocity, the folder of a checkpoint, online:FOLDER, zeroed:FOLDER,
             user/name on the hub, or module:Class of your own.
         port: Docking port.
         plot: Draw the trajectory into OUT.

@@ -301,5 +301,5 @@ class DockingParallelEnv(ParallelEnv):
         self._program = fleet_program(self.config, len(self.possible_agents), self._observe_others, self._sensors)
         if self._state is not None:
             with own_flags():
-                separation = jax.numpy.asarray(self._state.separation)
-            self._state = FleetState(state_from_host(self._state.chasers), separation)
+                separation, others = jax.tree.map(jax.numpy.asarray, (self._state.separation, self._state.others))
+            self._state = FleetState(state_from_host(self._state.chasers), separation, others)

@@ -20,6 +20,7 @@ from owm_envs.config.parts import (
     DockingTolerances,
     ForceConfig,
     Frozen,
+    NavigationConfig,
     NoiseConfig,
     RandomizationConfig,
     ResetConfig,
@@ -65,6 +66,10 @@ class Structure(NamedTuple):
     randomized: bool
     biased: bool
     """Whether sensors have a time-correlated error."""
+    quiet: bool
+    """Whether relative navigation goes quiet."""
+    heavy_tailed: bool
+    """Whether it has outliers."""
     port_slots: int
     """Length of `Params.port_choices`."""
     hull: str | int
@@ -82,6 +87,7 @@ class DockingConfig(Frozen):
 
     fidelity: Fidelity = "iss-numerical"
     noise: NoiseConfig = NOISE_PRESETS["none"]
+    navigation: NavigationConfig = NavigationConfig()
     reward: RewardConfig = REWARD_PRESETS["data"]
     ports: Annotated[tuple[str, ...], Field(min_length=1)] = PORT_NAMES
     """Ports an episode may be assigned, uniformly."""
@@ -220,6 +226,8 @@ class DockingConfig(Frozen):
             turning=self.target.turns or ranges.turning,
             randomized=ranges.active,
             biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),
+            quiet=self.navigation.quiet,
+            heavy_tailed=self.navigation.heavy_tailed,
             port_slots=max(len(PORT_NAMES), len(self.ports)),
             hull=self.hull if self.hull == "iss" else len(self.hull),
             obstacles=len(self.obstacles),

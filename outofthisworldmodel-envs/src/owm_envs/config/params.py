@@ -75,6 +75,15 @@ class NoiseParams(NamedTuple):
     bias: BiasParams
 
 
+class NavigationParams(NamedTuple):
+    """What goes wrong with relative navigation: s, -, -, -; as in `NavigationConfig`."""
+
+    outage_duration: Float[Array, ""]
+    outage_share: Float[Array, ""]
+    outlier_share: Float[Array, ""]
+    outlier_scale: Float[Array, ""]
+
+
 class ResetParams(NamedTuple):
     """Bounds of the start distribution: m, rad, m/s, rad/s, s."""
 
@@ -140,6 +149,8 @@ class Params(NamedTuple):
     randomization: RandomizationParams
     sensors: dict[str, PyTree] = {}  # noqa: RUF012 - never changed; a pytree without leaves
     """Of the sensors that have numbers of their own, by name: the scene and camera behind pixels."""
+    navigation: NavigationParams | None = None
+    """None unless `Structure.quiet` or `heavy_tailed`."""
 
 
 def goals_of(config: DockingConfig) -> Float[np.ndarray, "8 7"]:
@@ -176,6 +187,7 @@ def params_from_config(config: DockingConfig) -> Params:
     ports = [port_index(name) for name in config.ports]
     padding = [ports[0]] * (config.structure.port_slots - len(ports))
     angles = np.radians([chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg])
+    spoiled = config.structure.quiet or config.structure.heavy_tailed
     return Params(
         dt=real(config.dt),
         horizon_steps=jnp.asarray(config.horizon_decisions, jnp.int32),
@@ -220,6 +232,7 @@ def params_from_config(config: DockingConfig) -> Params:
             bias=BiasParams(**{name: real(value) for name, value in noise.bias}),
         ),
         target_rate=real(np.radians(config.target.rate_deg)),
+        navigation=NavigationParams(**{name: real(value) for name, value in config.navigation}) if spoiled else None,
         reset=ResetParams(
             radius_min=real(config.reset.radius_min),
             radius_max=real(config.reset.radius_max),

@@ -119,6 +119,28 @@ NOISE_PRESETS: dict[str, NoiseConfig] = {
 }
 
 
+class NavigationConfig(Frozen):
+    """What goes wrong with relative navigation, on top of its noise; by default nothing does."""
+
+    outage_duration: Annotated[float, within(1e-2, 1e6), unit("s")] = 10.0
+    """Of each time that navigation is quiet."""
+    outage_share: Annotated[float, within(0, 0.9), unit("1")] = 0.0
+    """Of the time that navigation is quiet; when is drawn for each episode (`task.navigation.is_quiet`)."""
+    outlier_share: Annotated[float, within(0, 1), unit("1")] = 0.0
+    """Of measurements whose white errors are `outlier_scale` times as large (`task.navigation.outlier_factor`)."""
+    outlier_scale: Annotated[float, within(1, 1e3), unit("1")] = 20.0
+
+    @property
+    def quiet(self) -> bool:
+        """Whether navigation is ever quiet."""
+        return self.outage_share > 0
+
+    @property
+    def heavy_tailed(self) -> bool:
+        """Whether there are outliers."""
+        return self.outlier_share > 0
+
+
 class RewardConfig(Frozen):
     """Weights, pseudo-Huber knees (`delta_*`) and scales (`sigma_*`) of the paper's reward."""
 

@@ -184,3 +184,15 @@ def _noise(config: DockingConfig) -> Iterator[str]:
         unit = fields(DockingConfig)[path]["unit"]
         label = " ".join(path[1:]).replace("_per_range", ", share of the distance").replace("_", " ")
         yield f"| {label} | {value:g}{'' if unit == '1' else ' ' + unit} |"
+    spoiled = config.navigation
+    if spoiled.heavy_tailed:
+        yield from (
+            "",
+            f"Of measurements {100 * spoiled.outlier_share:g} % err {spoiled.outlier_scale:g} times as much.",
+        )
+    if spoiled.quiet:
+        yield ""
+        yield (
+            f"For {100 * spoiled.outage_share:g} % of the time there are none, for {spoiled.outage_duration:g} s each: "
+            "`observation.state` then holds the last, and `observation.state_valid` is false."
+        )

@@ -269,8 +269,14 @@ def _check_ending(episode: _Episode, config: DockingConfig) -> None:
 
 
 def _check_measurement(episode: _Episode, config: DockingConfig) -> None:
-    """What was measured lies as near the truth as the configured errors, which have a largest size, leave it."""
+    """What was measured lies as near the truth as the configured errors, which have a largest size, leave it.
+
+    What a quiet navigation shows is that of the row before.
+    """
     noise, seen, true = config.noise, View.of(episode.state), View.of(episode.truth)
+    fresh, held = measured_rows(episode.columns), np.append(False, (np.diff(episode.state, axis=0) == 0).all(axis=1))
+    episode("observation.state", fresh | held, "that of the row before, as it was not measured")
+    draws = _DRAWS * (config.navigation.outlier_scale if config.navigation.heavy_tailed else 1)
     spread = noise.position + noise.position_per_range * np.linalg.norm(true.position, axis=1)
     for part, size, drift, off in (
         ("position", spread, noise.bias.position, seen.position - true.position),
@@ -280,7 +286,13 @@ def _check_measurement(episode: _Episode, config: DockingConfig) -> None:
     ):
         # Single precision, and what normalising an observation and back loses.
         rounding = 1e-5 + 1e-6 * np.linalg.norm(getattr(true, part), axis=1)
-        allowed = _DRAWS * size + _DRIFTS * drift + rounding
+        allowed = draws * size + _DRIFTS * drift + rounding
         error = np.linalg.norm(off, axis=1)
         told = f"a measured {part} within {np.max(allowed):.2g} of the true one"
-        episode("observation.state", error <= allowed, told, error)
+        episode("observation.state", ~fresh | (error <= allowed), told, error)
+
+
+def measured_rows(columns: Columns) -> np.ndarray:
+    """Which rows (N,) of an episode were measured at that instant: all but where relative navigation was quiet."""
+    fresh = columns.get("observation.state_valid")
+    return np.ones(len(columns["observation.state"]), bool) if fresh is None else fresh.reshape(-1)

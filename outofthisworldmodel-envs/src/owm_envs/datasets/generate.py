@@ -225,7 +225,7 @@ def _assemble(
 
 def _parts(config: DockingConfig, sensors: "Sequence[Sensor]") -> dict[str, Any]:
     """Shape and dtype of what is observed beside the state part; JAX is started only if there is anything."""
-    if not sensors and not config.has_pixels:
+    if not sensors and not config.has_pixels and not config.navigation.quiet:
         return {}
     from owm_envs.env import DockingEnv
     from owm_envs.task.sensors import STATE

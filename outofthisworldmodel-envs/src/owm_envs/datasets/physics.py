@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from owm_envs.config import DockingConfig
 from owm_envs.config.params import params_from_config
-from owm_envs.datasets.checks import DOCKED, ESCAPED, Columns, turned
+from owm_envs.datasets.checks import DOCKED, ESCAPED, Columns, measured_rows, turned
 from owm_envs.env import DockingEnv
 from owm_envs.flags import own_flags
 from owm_envs.task.actuators import actuators_at_rest, deliver
@@ -157,29 +157,34 @@ class Residuals(NamedTuple):
 def residuals(columns: Columns, config: DockingConfig) -> Residuals:
     """An episode's measured less true views, each axis over its configured standard deviation.
 
-    Parts without noise are zero. A time-correlated error of correlation r from a row to the next makes the sum of n
-    squares spread further: 2 (n - k) r^2k of its variance squared, twice, is added for each lag k.
+    Parts without noise are zero, and rows that were not measured are left out. A time-correlated error of correlation r
+    from a row to the next makes the sum of squares spread further: 2 n r^2k of its variance squared, twice, is added
+    for each lag k, of which there are n pairs. Outliers make it spread further by their fourth moment.
     """
-    noise = config.noise
+    noise, fresh = config.noise, measured_rows(columns)
     seen, true = columns["observation.state"].astype(np.float64), columns["observation.environment_state"]
-    view, measured = View.of(true), View.of(seen)
-    rows = len(true)
+    view, measured = View.of(true[fresh]), View.of(seen[fresh])
+    rows = int(fresh.sum())
+    share, scale = (getattr(config.navigation, f"outlier_{name}") for name in ("share", "scale"))
+    second, fourth = (1 - share + share * scale**power for power in (2, 4))
     off = [measured.position - view.position, measured.velocity - view.velocity]
     off += [turned(view.attitude, measured.attitude), measured.rate - view.rate]
     away = np.linalg.norm(view.position, axis=1, keepdims=True)
     white = [noise.position + noise.position_per_range * away, noise.velocity, noise.attitude, noise.rate]
     drift = [noise.bias.position, noise.bias.velocity, noise.bias.attitude, noise.bias.rate]
-    lag = np.arange(1, rows)
+    lag = np.arange(1, len(fresh))
+    pairs = len(fresh) - lag if fresh.all() else np.correlate(1.0 * fresh, 1.0 * fresh, "full")[len(fresh) :]
     fading = np.exp(-2 * lag * config.decision_dt / noise.bias.correlation_time)
-    further = 4 * np.sum((rows - lag) * fading)
+    further = 4 * np.sum(pairs * fading)
     squares, variance = np.zeros(4), np.zeros(4)
     for part, (error, size, slow) in enumerate(zip(off, white, drift)):
-        total = (np.broadcast_to(size, (rows, 1)) ** 2 + slow**2) / 3
+        total = (second * np.broadcast_to(size, (rows, 1)) ** 2 + slow**2) / 3
         if not total.any():
             continue
         squares[part] = np.sum(error**2 / total)
-        share = float(np.mean(slow**2 / 3 / total))
-        variance[part] = 3 * (2 * rows + further * share**2)
+        slowly = float(np.mean(slow**2 / 3 / total))
+        outlying = 15 * (1 - slowly) ** 2 * (fourth / second**2 - 1)
+        variance[part] = 3 * (2 * rows + further * slowly**2) + outlying * rows
     return Residuals(squares, 3.0 * rows, variance)
 
 

@@ -1,5 +1,6 @@
 """The picture of a dataset: where each policy flew, how its flights ended, and what the sensors added."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -69,11 +70,14 @@ def plot_dataset(
 def sketch(episode: Episode, config: DockingConfig, dt: float) -> Sketch:
     """What is drawn of an episode recorded every `dt` seconds."""
     rows = np.unique(np.linspace(0, len(episode), _DRAWS).astype(int))
+    rows = rows[episode.observation.get("state_valid", np.ones((len(episode) + 1, 1), bool))[rows, 0]]
     measured, true, noise = episode.observation["state"][rows], episode.true_state[rows], config.noise
+    navigation = config.navigation
+    outlying = math.sqrt(1 + navigation.outlier_share * (navigation.outlier_scale**2 - 1))
     white, bias = ([getattr(part, name) for name, *_ in _SENSED] for part in (noise, noise.bias))
     expected = np.tile(white, (len(rows), 1))
     expected[:, 0] += noise.position_per_range * np.linalg.norm(true[:, :3], axis=1)
-    expected = np.hypot(expected, bias)
+    expected = np.hypot(outlying * expected, bias)
     path = episode.true_state[np.unique(np.linspace(0, len(episode), _POINTS).astype(int)), :3]
     seconds = len(episode) * dt
     return Sketch(episode.policy_name, episode.outcome_name, seconds, path, residuals(measured, true), expected)

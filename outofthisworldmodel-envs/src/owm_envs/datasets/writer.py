@@ -262,7 +262,7 @@ class Recorder:
 
 @contextmanager
 def recording(folder: Path, config: DockingConfig, policy: str | None = None) -> Iterator[Recorder]:
-    """Write flights that are at hand as a dataset of one split, in place of one that is there.
+    """Write flights that are at hand as a dataset of one split, in place of one that is there; of relative navigation.
 
     Once left, with at least one episode in it, the folder is a dataset.
 
@@ -272,12 +272,13 @@ def recording(folder: Path, config: DockingConfig, policy: str | None = None) ->
         policy: who flew, if it is none of `POLICY_NAMES`; kept in the folder's info.json.
     """
     remove(folder)
+    parts = {"state_valid": np.zeros(1, bool)} if config.navigation.quiet else {}
     fps, pieces = 1 / config.decision_dt, Pieces(folder / "pieces")
     recorder = Recorder(pieces, fps)
     yield recorder
     write_atomically(folder / "config.toml", lambda file: file.write(config.to_toml()), text=True)
-    split = write_split(folder, pieces, range(recorder.episodes), fps, {})
-    write_meta(folder, split, split.statistics, fps, {}, {} if policy is None else {"policy": policy})
+    split = write_split(folder, pieces, range(recorder.episodes), fps, parts)
+    write_meta(folder, split, split.statistics, fps, parts, {} if policy is None else {"policy": policy})
     remove(pieces.folder)
 
 

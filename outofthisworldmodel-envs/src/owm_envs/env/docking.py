@@ -26,6 +26,7 @@ from owm_envs.task.reward import reward
 from owm_envs.task.selected import apply_where
 from owm_envs.task.sensors import (
     STATE,
+    STATE_VALID,
     Sensor,
     Truth,
     age_name,
@@ -133,8 +134,12 @@ class DockingEnv:
         if self.structure.turning:
             self.dynamics = TurningTarget(self.dynamics)
         self.given_sensors = tuple(sensors)
-        own = [RelativeNavigation(self.config.precision), *([TargetRate()] if self.structure.turning else [])]
-        self.sensors = require_sensors([*own, *_camera(self.config), *sensors])
+        structure = self.structure
+        navigation = RelativeNavigation(
+            structure.precision, structure.steps_per_action, structure.quiet, structure.heavy_tailed
+        )
+        turning = [TargetRate()] if structure.turning else []
+        self.sensors = require_sensors([navigation, *turning, *_camera(self.config), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(
             has_epoch=self.dynamics.has_epoch,
@@ -172,9 +177,8 @@ class DockingEnv:
     @property
     def shown_parts(self) -> dict[str, jax.ShapeDtypeStruct]:
         """Those parts that the configured `observation` has; adapters show no other."""
-        return {
-            n: part for n, part in self.observation_parts.items() if n != STATE or "state" in self.config.observation
-        }
+        hidden = () if "state" in self.config.observation else (STATE, STATE_VALID)
+        return {name: part for name, part in self.observation_parts.items() if name not in hidden}
 
     @property
     def costly(self) -> bool:

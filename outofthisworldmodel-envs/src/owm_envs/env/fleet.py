@@ -15,10 +15,11 @@ from owm_envs.config.params import Params
 from owm_envs.dynamics import PhysicalState
 from owm_envs.env.docking import DockingEnv, EnvState, StepResult, is_sound
 from owm_envs.task.events import Outcome, safe_norm
+from owm_envs.task.navigation import outlier_factor
 from owm_envs.task.noise_stream import standard_normal
 from owm_envs.task.observation import VIEW_SCALE, Observation, ObservationLayout, part
 from owm_envs.task.reset import Start, named_key, sample_start
-from owm_envs.task.sensors import STATE
+from owm_envs.task.sensors import STATE, STATE_VALID
 from owm_envs.task.separation import swept_separation
 from owm_envs.view import View
 
@@ -38,6 +39,8 @@ class FleetState(NamedTuple):
     """
     separation: Float[Array, "N"]
     """Least distance of each chaser's bounding sphere to another's so far, m."""
+    others: Float[Array, "N K 6"] | None = None
+    """What each chaser's observation shows of the others; None unless relative navigation goes quiet."""
 
     @property
     def next_key(self) -> Key[Array, ""]:
@@ -166,7 +169,8 @@ class FleetEnv:
         separation = jnp.min(apart, axis=1)
         chasers = chasers._replace(collided=chasers.collided | (separation <= 0))
         chasers, own = jax.vmap(self.docking.observe, (None, self._axes), (self._axes, 0))(params, chasers)
-        return FleetState(chasers, separation), self._observations(params, chasers, own)
+        seen, others = self._observations(params, chasers, own)
+        return FleetState(chasers, separation, others), seen
 
     def step(self, params: Params, state: FleetState, actions: Float[Array, "N 6"]) -> tuple[FleetState, StepResult]:
         """Hold an action for each chaser for one decision; chasers that have ended stay, with reward zero.
@@ -206,8 +210,8 @@ class FleetEnv:
         chasers, result = jax.vmap(docking.finish, (None, self._axes, self._axes, 0, 0), (self._axes, 0))(
             params, before, ended, wrenches, touched
         )
-        observations = self._observations(params, chasers, result.observation)
-        return FleetState(chasers, separation), result._replace(observation=observations)
+        seen, others = self._observations(params, chasers, result.observation, state.others)
+        return FleetState(chasers, separation, others), result._replace(observation=seen)
 
     def info(self, params: Params, state: FleetState) -> dict[str, Array]:
         """The truth behind a state, for recording and scoring: `DockingEnv.info` of each chaser, and `separation`."""
@@ -221,9 +225,10 @@ class FleetEnv:
         apart = pairwise(start, end, start, end) - 2 * params.chaser.radius
         return jnp.where(jnp.eye(self.num_chasers, dtype=bool), jnp.inf, apart)
 
-    def _observations(self, params, chasers, own):
+    def _observations(self, params, chasers, own, held=None):
+        """What each chaser observes, and what of that a quiet navigation holds, `held` until now."""
         if self.layout.num_others == 0:
-            return own
+            return own, None
         running = chasers.outcome == Outcome.RUNNING
         position, velocity, _, _ = View.of(chasers.view)
         seen = jnp.concatenate([position, jnp.where(running[:, None], velocity, 0)], axis=1)
@@ -239,7 +244,10 @@ class FleetEnv:
                 ],
                 axis=1,
             )
-            errors = standard_normal(named_key(noise_key, "others"), count, relative.size, relative.dtype)
+            stream = named_key(noise_key, "others")
+            if self.docking.structure.heavy_tailed:
+                total = outlier_factor(params.navigation, key=stream, count=count) * total
+            errors = standard_normal(stream, count, relative.size, relative.dtype)
             per_axis = total / jnp.sqrt(jnp.asarray(3, relative.dtype))
             return relative + (per_axis[..., None] * errors.reshape(-1, 2, 3)).reshape(relative.shape)
 
@@ -247,8 +255,11 @@ class FleetEnv:
         view = jax.vmap(look)(chasers.noise_key, chasers.count, relative)
         if self.config.normalize:
             view = view / jnp.asarray(VIEW_SCALE[None, None, :6], view.dtype)
-        view = view.reshape(self.num_chasers, -1).astype(jnp.float32)
-        return {**own, STATE: jnp.concatenate([own[STATE], view], axis=1)}
+        view = view.astype(jnp.float32)
+        if self.docking.structure.quiet:
+            held = view = view if held is None else jnp.where(own[STATE_VALID][..., None], view, held)
+        shown = jnp.concatenate([own[STATE], view.reshape(self.num_chasers, -1)], axis=1)
+        return {**own, STATE: shown}, held
 
 
 def assign_ports(choices: Int[Array, "C"], ports: Int[Array, "N"], *, key: Key[Array, ""]) -> Int[Array, "N"]:

@@ -7,31 +7,79 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_to_rotation_vector
 from astrojax.compilation import stored
-from owm_envs.config.params import NoiseParams
+from owm_envs.config.params import NavigationParams, NoiseParams
 from owm_envs.task.events import safe_norm
-from owm_envs.task.noise_stream import standard_normal
-from owm_envs.task.sensors import STATE, TARGET_RATE, Truth
+from owm_envs.task.noise_stream import standard_normal, standard_uniform
+from owm_envs.task.reset import named_key
+from owm_envs.task.sensors import STATE, TARGET_RATE, Measurement, Truth
 from owm_envs.view import VIEW_SIZE, View
 
 
 @dataclass(frozen=True)
 class RelativeNavigation:
-    """The sensor that every chaser has: its relative view, m, m/s, quaternion and rad/s, with the configured errors."""
+    """The sensor that every chaser has: its relative view, m, m/s, quaternion and rad/s, with the configured errors.
+
+    Where it is quiet the last view is shown again, and `state_valid` beside it is false. The first always comes.
+    """
 
     dtype: str
     """The environment's precision."""
+    steps_per_action: int
+    may_miss: bool
+    """Whether it goes quiet."""
+    heavy_tailed: bool
+    """Whether it has outliers."""
     name: ClassVar[str] = STATE
     shape: ClassVar[tuple[int, ...]] = (VIEW_SIZE,)
     every: ClassVar[int] = 1
-    may_miss: ClassVar[bool] = False
 
-    def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "13"]:
-        """The measured view; its errors come from `truth.stream`, not from `key`."""
-        return measure(truth.params.noise, truth.view, truth.bias, key=truth.stream, count=truth.count)
+    def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "13"] | Measurement:
+        """The measured view; its errors, and when there is none, come from `truth.stream`, not from `key`."""
+        params, stream, count = truth.params, truth.stream, truth.count
+        factor = outlier_factor(params.navigation, key=stream, count=count) if self.heavy_tailed else None
+        view = measure(params.noise, truth.view, truth.bias, factor, key=stream, count=count)
+        if not self.may_miss:
+            return view
+        elapsed = count * (params.dt * self.steps_per_action)
+        return Measurement(view, (count == 0) | ~is_quiet(params.navigation, elapsed, key=stream))
+
+
+def is_quiet(navigation: NavigationParams, elapsed: Float[Array, ""], *, key: Key[Array, ""]) -> Bool[Array, ""]:
+    """Whether relative navigation is quiet `elapsed` seconds into an episode.
+
+    Time is cut into periods of duration over share, the first of which began at a random moment before the episode.
+    In each is one outage, at a random place. So navigation is quiet at every instant with the same probability, and
+    nobody can tell from an outage when the next one comes but for its being in the next period.
+
+    Args:
+        key: of the episode's sensor errors.
+    """
+    key = named_key(key, "outages")
+    share = navigation.outage_share
+    now = stored(elapsed * (share / navigation.outage_duration)) + standard_uniform(key, 0).astype(share.dtype)
+    period = jnp.floor(now)
+    begins = (1 - share) * standard_uniform(key, 1 + period.astype(jnp.uint32)).astype(share.dtype)
+    since = now - period - begins
+    return (since >= 0) & (since < share)
+
+
+def outlier_factor(
+    navigation: NavigationParams, *, key: Key[Array, ""], count: Int[Array, ""] | int
+) -> Float[Array, ""]:
+    """By what the white errors of a measurement are larger: 1, or now and then `outlier_scale`.
+
+    Errors are then of a contaminated normal distribution. Source: Tukey (1960), A survey of sampling from
+    contaminated distributions; Huber (1964), Robust estimation of a location parameter, Ann. Math. Statist. 35, 73.
+
+    Args:
+        key, count: which measurement of which stream of errors.
+    """
+    outlier = standard_uniform(named_key(key, "outliers"), count) < navigation.outlier_share
+    return jnp.where(outlier, navigation.outlier_scale, jnp.ones_like(navigation.outlier_scale))
 
 
 @dataclass(frozen=True)
@@ -73,6 +121,7 @@ def measure(
     noise: NoiseParams,
     view: View,
     bias: Float[Array, "4 3"] | None = None,
+    factor: Float[Array, ""] | None = None,
     *,
     key: Key[Array, ""],
     count: Int[Array, ""] | int = 0,
@@ -83,6 +132,7 @@ def measure(
 
     Args:
         bias: time-correlated error of unit variance per axis: position, velocity, attitude, rate; none when None.
+        factor: of the white errors' sizes, as `outlier_factor` gives it; 1 when None.
         key, count: which error of which stream, as for `standard_normal`.
     """
     total = jnp.stack(
@@ -93,6 +143,8 @@ def measure(
             noise.rate,
         ]
     )
+    if factor is not None:
+        total = factor * total
     # Seven digits are plenty for an error, its rotation too.
     errors = _per_axis(total)[:, None].astype(jnp.float32) * standard_normal(key, count, 12, jnp.float32).reshape(4, 3)
     if bias is not None:

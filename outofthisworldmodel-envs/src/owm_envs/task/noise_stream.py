@@ -48,6 +48,17 @@ def standard_normal(key: Key[Array, ""], count: Int[Array, ""] | int, size: int,
     return box_muller(radius_bits, angle_bits, dtype)
 
 
+def standard_uniform(key: Key[Array, ""], count: Int[Array, ""] | int) -> Float[Array, ""]:
+    """The `count`-th number of a stream, uniform between 0 and 1, neither included: float32, to seven digits.
+
+    Args:
+        key: of the stream (threefry2x32), used for nothing else.
+        count: from 0; numbers of different counts are independent.
+    """
+    count = jnp.asarray(count).astype(jnp.uint32)
+    return _uniform(threefry2x32(jax.random.key_data(key), count, jnp.zeros_like(count))[0])
+
+
 def box_muller(
     radius_bits: UInt32[Array, "N"], angle_bits: UInt32[Array, "N"], dtype: DTypeLike
 ) -> Float[Array, "2*N"]:
@@ -55,10 +66,13 @@ def box_muller(
 
     Source: Box and Muller (1958), Ann. Math. Statist. 29, 610. No number exceeds 5.9.
     """
-    uniform = ((radius_bits >> 8).astype(jnp.float32) + 0.5) * jnp.float32(2.0**-24)
-    radius = stored(jnp.sqrt(-2 * jnp.log(uniform)))
+    radius = stored(jnp.sqrt(-2 * jnp.log(_uniform(radius_bits))))
     cosine, sine = _turn(angle_bits)
     return jnp.concatenate(stored((radius * cosine, radius * sine))).astype(dtype)
+
+
+def _uniform(bits: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
+    return ((bits >> 8).astype(jnp.float32) + 0.5) * jnp.float32(2.0**-24)
 
 
 def _turn(bits: UInt32[Array, "N"]) -> tuple[Float[Array, "N"], Float[Array, "N"]]:

@@ -46,7 +46,8 @@ class Truth(NamedTuple):
     bias: Float[Array, "4 3"] | None
     """Time-correlated error of relative navigation, of unit variance; None without."""
     stream: Key[Array, ""]
-    """Of this episode's sensor errors, the same at every instant: for `standard_normal(stream, count, ...)` alone."""
+    """Of this episode's sensor errors, the same at every instant: for `standard_normal(stream, count, ...)`, and for
+    streams of names of their own."""
     orbit: Float[Array, "6"] | None = None
     """The station's position and velocity [m, m/s] in inertial axes; None but for a sensor with `needs_orbit`."""
     drawn: PyTree = None

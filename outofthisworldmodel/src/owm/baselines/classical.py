@@ -1,5 +1,6 @@
 """The classical stack: an extended Kalman filter, a route without a map of the hull, and model-predictive control."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -19,6 +20,8 @@ from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout, seen_now
 from owm_envs.view import VIEW_SIZE, View
 
+GATE = 32.9
+"""The square of an innovation of 12 numbers, in units of its covariance, exceeds it once in a thousand (chi-square)."""
 CRUISE_RADIUS = 85.0
 """m from the station origin: a sphere about the whole hull with room for a chaser and its turns."""
 PROCESS_NOISE = (1e-3, 2e-3, 1e-4, 2e-4)
@@ -167,11 +170,12 @@ class ClassicalPolicy:
         return jnp.clip(torque, -self.vehicle.torque_limit, self.vehicle.torque_limit)
 
 
-def classical_policy(env: DockingEnv) -> ClassicalPolicy:
-    """Build the stack for an environment's nominal chaser, orbit, sensors and decision rate."""
+def classical_policy(env: DockingEnv, *, gate: float = math.inf) -> ClassicalPolicy:
+    """Build the stack for an environment's nominal chaser, orbit, sensors and decision rate; `gate` as the filter's."""
     config = env.config
     chaser = config.chaser
     vehicle = Vehicle(chaser.mass, chaser.inertia, chaser.force_limit, chaser.torque_limit, config.decision_dt)
-    ekf = ErrorStateEKF(config, process_noise=PROCESS_NOISE, dt=config.decision_dt)
+    ekf = ErrorStateEKF(config, process_noise=PROCESS_NOISE, dt=config.decision_dt, gate=gate)
+    name = "ekf-mpc" if math.isinf(gate) else "ekf-mpc-gated"
     rate = (GM_EARTH / config.chief.semi_major_axis**3) ** 0.5
-    return ClassicalPolicy(vehicle, goals_of(config), tracking(rate), ekf.params, ekf=ekf, layout=env.layout)
+    return ClassicalPolicy(vehicle, goals_of(config), tracking(rate), ekf.params, ekf=ekf, layout=env.layout, name=name)

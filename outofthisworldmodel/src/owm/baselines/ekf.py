@@ -5,6 +5,7 @@ and a rate rad/s in body axes; attitude is corrected multiplicatively. Source: M
 Fundamentals of Spacecraft Attitude Determination and Control, sec. 6.2. The filter is `astrojax.estimate`'s.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from astrojax.estimate import Gaussian, ekf_predict, joseph_update
+from astrojax.estimate import Gaussian, ekf_predict, joseph_update, normalized_square
 from owm.baselines.exact import ExactDynamics, ExactParams
 from owm.interface import History
 from owm.motion.kinematics import displaced, view_error
@@ -48,11 +49,14 @@ class FilterParams(NamedTuple):
         process: physical constants.
         noise: of the sensors, total root mean squares; a time-correlated part is taken for white.
         process_noise: standard deviation of what a step adds, per axis of position, velocity, attitude and rate.
+        gate: square of an innovation, in units of its covariance, beyond which the measurement is taken for an outlier;
+            inf for none.
     """
 
     process: ExactParams
     noise: NoiseParams
     process_noise: Float[Array, "4"]
+    gate: Float[Array, ""]
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,7 @@ class ErrorStateEKF:
         process_noise: as in `FilterParams`.
         history_length: `H` to report.
         dt: seconds a step.
+        gate: as in `FilterParams`.
     """
 
     config: DockingConfig | None = field(default=None, compare=False, repr=False)
@@ -76,6 +81,7 @@ class ErrorStateEKF:
     process_noise: tuple[float, float, float, float] = field(default=HELD_COMMANDS, compare=False)
     history_length: int = 8
     dt: float = 0.25
+    gate: float = field(default=math.inf, compare=False)
     process: ExactDynamics = field(init=False, repr=False)
     params: FilterParams = field(init=False, compare=False, repr=False)
 
@@ -84,11 +90,10 @@ class ErrorStateEKF:
         config = load_config(noise="cooperative") if self.config is None else self.config
         config = load_config(config, fidelity=self.fidelity, precision=process.precision)
         with jax.enable_x64(process.precision == "float64"):
-            noise, added = jax.device_get(
-                (params_from_config(config).noise, jnp.asarray(self.process_noise, process.precision))
-            )
+            told = params_from_config(config).noise, *map(jnp.asarray, (self.process_noise, self.gate))
+            noise, added, gate = jax.tree.map(lambda x: x.astype(process.precision), jax.device_get(told))
         object.__setattr__(self, "process", process)
-        object.__setattr__(self, "params", FilterParams(process.params, noise, added))
+        object.__setattr__(self, "params", FilterParams(process.params, noise, added, gate))
 
     @property
     def name(self) -> str:
@@ -129,10 +134,16 @@ class ErrorStateEKF:
         return view_error(view.astype(noise.dtype), belief.view), belief.covariance + jnp.diag(noise**2)
 
     def update(self, params: FilterParams, belief: Belief, view: Float[Array, "13"]) -> Belief:
-        """Correct by a measurement of the whole view."""
+        """Correct by a measurement of the whole view; by an outlier the less, the farther out it is.
+
+        The noise of one beyond the gate is taken for so much larger that it is on it, as if it were all noise. None is
+        left out, so that a filter that is off finds back. Source: Chang (2014), Robust Kalman filtering based on
+        Mahalanobis distance as outlier judging criterion, J. Geodesy 88, 391; one step of its iteration.
+        """
         noise = self._measured(params, belief.view)
-        error = view_error(view.astype(noise.dtype), belief.view)
-        gain, after, _ = joseph_update(belief.covariance, jnp.eye(12, dtype=noise.dtype), jnp.diag(noise**2))
+        error, expected = self.innovation(params, belief, view)
+        variance = noise**2 * jnp.maximum(normalized_square(error, expected) / params.gate, 1)
+        gain, after, _ = joseph_update(belief.covariance, jnp.eye(12, dtype=noise.dtype), jnp.diag(variance))
         return Belief(displaced(belief.view, gain @ error), after)
 
     def encode(self, params: FilterParams, history: History) -> Belief:

@@ -76,14 +76,17 @@ GIVEN: dict[str, Given] = {
         f"{_CORRECTOR}; action map",
         "corpus",
     ),
-    "ekf-mpc": Given(
-        "no: a sphere about the station and a corridor to the port",
-        "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
-        "yes",
-        "yes",
-        "no",
-        "yes: state estimate",
-        "nothing",
+    **dict.fromkeys(
+        ("ekf-mpc", "ekf-mpc-gated"),
+        Given(
+            "no: a sphere about the station and a corridor to the port",
+            "Clohessy and Wiltshire's and a rigid body's, with the orbit's rate",
+            "yes",
+            "yes",
+            "no",
+            "yes: state estimate",
+            "nothing",
+        ),
     ),
     "constant-velocity": Given(_MAP, "kinematics of a rigid body", _PROFILE, "no", "no", _CORRECTOR, "nothing"),
     "oracle-mppi": Given(_MAP, _EXACT, "yes", "no", "no", _CORRECTOR, "nothing"),
@@ -108,7 +111,7 @@ GIVEN: dict[str, Given] = {
 }
 """Keyed by `kind_of` a policy."""
 SCRIPTED = ("dock", "dock-geodesic", "dock-geodesic-integral", "dock-safe", "random", "orbit", "excite")
-NAMES = (*SCRIPTED, "ekf-mpc", "oracle-mppi", "constant-velocity")
+NAMES = (*SCRIPTED, "ekf-mpc", "ekf-mpc-gated", "oracle-mppi", "constant-velocity")
 """What `load_policy` knows beside paths."""
 ONLINE_PREFIX = "online:"
 """Before the folder of a model whose linear part is to be fitted again in flight."""
@@ -274,10 +277,11 @@ def load_policy(
         if not isinstance(getattr(flown, "name", None), str):
             flown.name = policy
         return flown
-    if kind == "ekf-mpc":
-        from owm.baselines.classical import classical_policy
+    if kind in ("ekf-mpc", "ekf-mpc-gated"):
+        from owm.baselines.classical import GATE, classical_policy
 
-        return VectorPolicy(classical_policy(env), seed=seed)
+        gated = {"gate": GATE} if kind == "ekf-mpc-gated" else {}
+        return VectorPolicy(classical_policy(env, **gated), seed=seed)
     from owm_envs.policies.geodesic import field_of
 
     name = kind if kind == policy else "/".join(Path(policy).parts[-2:])

@@ -165,8 +165,6 @@ def fly(
     seeds, ports = trials([port], flights, seed)
     asked = {"command": "owm fly", "policy": content_digest(policy), "port": port, "flights": flights, "seed": seed}
     asked["environment"] = config.model_dump(mode="json")
-    if wrong.outages:
-        asked["outages"] = wrong.outages._asdict()
     if planned:
         asked["planner"] = variant.model_dump(mode="json")
     with Claim(out or Path("runs/fly") / f"{slug(policy)}_{port}_{digest(asked)[:8]}", asked) as claim:
@@ -264,9 +262,8 @@ def fly_named(
     flown_by = load_policy(policy, config, slots, seed, planner)
     name = name or flown_by.name
     with flying(name, len(seeds), slots) as progress:
-        config, outages = load_config(config, **wrong.hidden), wrong.outages
-        told = {"slots": slots, "name": name, "keep": keep, "outages": outages}
-        flown = fly_episodes(flown_by, config, seeds, ports, progress, **told)
+        told = {"slots": slots, "name": name, "keep": keep}
+        flown = fly_episodes(flown_by, load_config(config, **wrong.hidden), seeds, ports, progress, **told)
     if after is not None:
         after(flown_by)
     return flown

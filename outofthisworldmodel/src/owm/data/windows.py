@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from astrojax.attitude import quat_sign
 from owm.interface import History
 from owm_envs.datasets.windows import grid, mean_actions
-from owm_envs.task.sensors import STATE
+from owm_envs.task.sensors import STATE, STATE_VALID
 from owm_envs.view import VIEW_SIZE, View
 
 STRIDE = 5
@@ -51,7 +51,7 @@ class Episodes:
         truth: (N, 13) noiseless views.
         action: (N, 6) mean action from a view to the next; the last row of a track is zero and never used.
         track: (N,) which track a row belongs to. A recording gives one track per phase at which the five-frame
-            grid may start.
+            grid may start, or several between the times that relative navigation was quiet.
         episode: (N,) which recording a row came from.
         policies: behaviour policy of each recording.
         ports: port of each recording.
@@ -158,6 +158,7 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
     for number, episode in enumerate(episodes):
         parts = dict(episode.observation)  # a video is decoded at the rows taken, below
         seen = np.asarray(parts.pop(STATE, np.zeros(0)))
+        fresh = np.asarray(parts.pop(STATE_VALID, np.ones(len(seen), bool))).reshape(-1)
         act = np.asarray(episode.action)
         true = getattr(episode, "true_state", None)
         true = seen if true is None else np.asarray(true)
@@ -179,18 +180,16 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
         ports.append(str(getattr(episode, "port", "")))
         stride = getattr(episode, "stride", STRIDE)
         for phase in range(min(phases, stride)):
-            rows = grid(len(act), stride, phase)
-            if len(rows) < 2:
-                continue
-            mean = mean_actions(act, rows)
-            observation.append(_continuous(seen[rows]).astype(dtype))
-            for name, values in parts.items():
-                further[name].append(np.asarray(values[rows]))
-            truth.append(_continuous(true[rows]).astype(dtype))
-            action.append(np.concatenate([mean, np.zeros((1, 6))]).astype(dtype))
-            track.append(np.full(len(rows), tracks, np.int32))
-            source.append(np.full(len(rows), number, np.int32))
-            tracks += 1
+            for rows in _measured(grid(len(act), stride, phase), fresh):
+                mean = mean_actions(act, rows)
+                observation.append(_continuous(seen[rows]).astype(dtype))
+                for name, values in parts.items():
+                    further[name].append(np.asarray(values[rows]))
+                truth.append(_continuous(true[rows]).astype(dtype))
+                action.append(np.concatenate([mean, np.zeros((1, 6))]).astype(dtype))
+                track.append(np.full(len(rows), tracks, np.int32))
+                source.append(np.full(len(rows), number, np.int32))
+                tracks += 1
     if not observation:
         raise ValueError(f"no episode holds a transition: {len(policies)} given, {STRIDE + 1} frames needed")
     return Episodes(
@@ -200,6 +199,13 @@ def from_episodes(episodes: Iterable[Any], *, phases: int = 1, dtype: str = "flo
         ports=tuple(ports),
         dt=0.05 * STRIDE,
     )
+
+
+def _measured(rows: Int[np.ndarray, "R"], fresh: Bool[np.ndarray, "T"]) -> list[Int[np.ndarray, "S"]]:
+    """Cut rows into stretches of two or more without one that was not measured."""
+    gaps = np.flatnonzero(~fresh[rows])
+    stretches = np.split(rows, np.unique([gaps, gaps + 1]))
+    return [stretch for stretch in stretches if len(stretch) > 1 and fresh[stretch].all()]
 
 
 def _continuous(views: np.ndarray) -> np.ndarray:

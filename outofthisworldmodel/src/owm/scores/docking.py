@@ -10,14 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from owm.scores.flights import Flights, join
-from owm.scores.outages import Outages
 from owm.scores.tape import Tape
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.episode import Episode
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
 from owm_envs.task.events import OUTCOME_NAMES
-from owm_envs.task.sensors import STATE, STATE_VALID
+from owm_envs.task.observation import Observation, seen_now
 from owm_envs.view import VIEW_SIZE, View
 from owm_envs.words import checked_seed, unknown
 
@@ -29,13 +28,16 @@ _CLOSEST = ("distance", "speed", "attitude", "rate", "time")
 
 
 class Policy(Protocol):
-    """Whatever flies a batch of slots; one with an attribute `active` is told which flights still go on."""
+    """Whatever flies a batch of slots; one with an attribute `active` is told which flights still go on.
+
+    Where relative navigation goes quiet, the observation is a mapping, "state" and "state_valid".
+    """
 
     def reset(self, mask: Bool[np.ndarray, "B"] | None, ports: Int[np.ndarray, "B"] | None) -> None:
         """Announce new episodes and their ports."""
 
     def predict(
-        self, observation: Float[np.ndarray, "B O"], state: Any, episode_start: Any, deterministic: bool
+        self, observation: Observation, state: Any, episode_start: Any, deterministic: bool
     ) -> tuple[Float[np.ndarray, "B 6"], Any]:
         """Actions in the environment's layout, and the policy's own state."""
 
@@ -89,7 +91,6 @@ def fly_episodes(
     slots: int | None = None,
     name: str | None = None,
     keep: Callable[[list[Episode]], None] | None = None,
-    outages: Outages | None = None,
 ) -> Flights:
     """Fly one episode per seed with a policy that sees observations and ports only.
 
@@ -105,8 +106,6 @@ def fly_episodes(
         slots: most flights at a time, all when None; the last batch is filled up, so that shapes stay.
         name: what to call the policy; its own `name` when None.
         keep: given the flights of each batch, in order, as whole recordings of what was seen and done.
-        outages: when relative navigation is quiet: then the policy is shown the last measurement again, and told so
-            (`state_valid`).
 
     Raises:
         ValueError: shapes disagree, nothing to fly, an unknown port, or actions of the wrong shape.
@@ -123,7 +122,7 @@ def fly_episodes(
         index = np.arange(first, first + slots) % len(seeds)
         told = None if progress is None else lambda *now, first=first: progress(first, *now)
         tape = None if keep is None else Tape(name)
-        batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name, tape, outages)
+        batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name, tape)
         real = slice(0, len(seeds) - first)
         parts.append(batch.select(real))
         if tape is not None:
@@ -132,14 +131,13 @@ def fly_episodes(
     return join(parts)
 
 
-def _fly_batch(policy, env, seeds, ports, progress, record, name, tape, outages) -> Flights:
+def _fly_batch(policy, env, seeds, ports, progress, record, name, tape) -> Flights:
     config, layout = env.config, env.layout
     decisions = config.horizon_decisions
-    measured, shown = _measured(outages, seeds, decisions, config.decision_dt), None
     observation, info = env.reset(seed=seeds.tolist(), options={"dock_port": [int(port) for port in ports]})
     path, clock, began = [info["true_state"]], [np.zeros(len(seeds))], info["epoch"]
     if tape is not None:
-        tape.frame(layout.measured_view(observation), info)
+        tape.frame(layout.measured_view(observation), info, seen_now(observation))
     digest = np.array([start_digest(*start) for start in zip(info["true_state"], info["epoch"], ports)])
     running = np.ones(len(seeds), bool)
     flown = np.zeros(len(seeds))
@@ -150,10 +148,6 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name, tape, outages)
     policy.reset(np.ones(len(seeds), bool), ports)
     state, start = None, np.ones(len(seeds), bool)
     for decision in range(decisions):
-        if measured is not None:
-            seen = measured[:, decision, None]
-            shown = observation if shown is None else np.where(seen, observation, shown)
-            observation = {STATE: shown, STATE_VALID: seen}
         before = time.perf_counter()
         action, state = policy.predict(observation, state, start, True)
         action = np.asarray(action)
@@ -170,7 +164,7 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name, tape, outages)
         observation, reward, terminated, truncated, info = env.step(action)
         if tape is not None:
             tape.decision(wrench, reward, running)
-            tape.frame(layout.measured_view(observation), info)
+            tape.frame(layout.measured_view(observation), info, seen_now(observation))
         flown += np.where(running, config.decision_dt, 0)
         path.append(np.where(running[:, None], info["true_state"], np.nan))
         clock.append(np.where(running, (info["epoch"] - began) @ np.array([86_400.0, 1.0]), np.nan))
@@ -205,15 +199,6 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name, tape, outages)
         bounds=(bounds.speed, math.radians(bounds.attitude_deg), math.radians(bounds.rate_deg)),
         trajectory=trajectory if record else None,
     )
-
-
-def _measured(
-    outages: Outages | None, seeds: Int[np.ndarray, "N"], decisions: int, dt: float
-) -> Bool[np.ndarray, "N T"] | None:
-    """Whether there is a measurement, decision by decision; None where there always is."""
-    if outages is None:
-        return None
-    return np.stack([outages.measured(int(seed), decisions, dt) for seed in seeds])
 
 
 def state_at(

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from owm_envs.episode import POLICY_NAMES, Episode
 from owm_envs.station import goal_poses
 from owm_envs.task.events import Outcome
+from owm_envs.task.sensors import STATE, STATE_VALID
 
 
 class Tape:
@@ -21,12 +22,17 @@ class Tape:
     def __init__(self, policy: str):
         self.policy = POLICY_NAMES.index(policy) if policy in POLICY_NAMES else -1
         self._frames: list[tuple[np.ndarray, ...]] = []
+        self._fresh: list[np.ndarray] = []
         self._decisions: list[tuple[np.ndarray, ...]] = []
         self._outcome = np.zeros(0, np.int64)
 
-    def frame(self, measured: Float[np.ndarray, "B 13"], info: Mapping[str, Any]) -> None:
-        """Keep what was seen, and what was true, at an instant."""
+    def frame(
+        self, measured: Float[np.ndarray, "B 13"], info: Mapping[str, Any], fresh: Bool[np.ndarray, "B"] | None = None
+    ) -> None:
+        """Keep what was seen, whether it was measured at this very instant where it may not be, and what was true."""
         self._frames.append((np.float32(measured), np.float64(info["true_state"]), np.float64(info["epoch"])))
+        if fresh is not None:
+            self._fresh.append(np.asarray(fresh, bool))
         self._outcome = np.asarray(info["outcome"], np.int64)
 
     def decision(
@@ -39,6 +45,7 @@ class Tape:
         """The first N flights, each until its end; `ports` are theirs."""
         measured, true, epoch = (np.stack(values, axis=1) for values in zip(*self._frames))
         action, reward, flying = (np.stack(values, axis=1) for values in zip(*self._decisions))
+        seen = {STATE: measured} | ({STATE_VALID: np.stack(self._fresh, axis=1)[..., None]} if self._fresh else {})
         made, goals = [], goal_poses()
         for slot, port in enumerate(ports):
             length = int(flying[slot].sum())
@@ -46,7 +53,7 @@ class Tape:
             outcome = int(self._outcome[slot])
             made.append(
                 Episode(
-                    observation={"state": measured[slot, : length + 1]},
+                    observation={name: part[slot, : length + 1] for name, part in seen.items()},
                     true_state=true[slot, : length + 1],
                     epoch=epoch[slot, : length + 1],
                     action=action[slot, :length],

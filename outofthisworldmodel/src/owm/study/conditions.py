@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from owm.scores.docking import evaluation_config
-from owm.scores.outages import Outages
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.parts import NOISE_PRESETS, ChaserConfig
 from owm_envs.station import hull_boxes
@@ -34,8 +33,6 @@ class Condition:
     """Fields of the environment that policies are not told: they are built for the nominal one."""
     map: Callable[[Boxes], Boxes] | None = None
     """From the true hull to the one that the planner's field is made of; the truth keeps its hull."""
-    outages: Outages | None = None
-    """When relative navigation is quiet; policies are told that it is."""
 
     def told(self) -> DockingConfig:
         """The environment that policies are built for."""
@@ -96,6 +93,12 @@ def _dead(axis: int) -> tuple[float, ...]:
     return tuple(0.0 if i == axis else 1.0 for i in range(6))
 
 
+def _quiet(seconds: float, share: float = 0.3) -> Condition:
+    """Policies see when (`state_valid`)."""
+    what = f"no measurement for {seconds:g} s, again and again, {100 * share:g} % of the time"
+    return Condition(what, hidden={"navigation": {"outage_duration": seconds, "outage_share": share}})
+
+
 def _scaled(factor: float) -> tuple[float, ...]:
     return tuple(factor * moment for moment in _CHASER.inertia)
 
@@ -138,12 +141,13 @@ CONDITIONS: dict[str, Condition] = {
     ),
     "map shifted": Condition("the planner's hull lies 0.3 m off", map=shifted),
     "map turned": Condition("the planner's hull is turned by 1 deg", map=turned),
-    **{
-        f"outages of {seconds:g} s": Condition(
-            f"no measurement for {seconds:g} s, again and again, a third of the time", outages=Outages(seconds)
-        )
-        for seconds in (1.0, 5.0, 10.0, 30.0)
-    },
+    **{f"outages of {seconds:g} s": _quiet(seconds) for seconds in (1.0, 5.0, 10.0, 30.0)},
+    "outages of 10 s, a tenth": _quiet(10.0, 0.1),
+    "outages of 10 s, half": _quiet(10.0, 0.5),
+    "outliers": Condition(
+        "5 % of measurements with 20 times the noise",
+        hidden={"navigation": {"outlier_share": 0.05, "outlier_scale": 20.0}},
+    ),
     "turned by 30 deg": _failing("thrust and torque turned by 30 deg about body (1, 1, 1)", misalignment=_turn(30.0)),
     "turned by 45 deg": _failing("thrust and torque turned by 45 deg about body (1, 1, 1)", misalignment=_turn(45.0)),
     "tumbling": Condition("starts at up to 60 deg/s", hidden={"reset": {"rate": np.radians(60.0)}}),

@@ -212,7 +212,7 @@ class Store:
             self.policy.restart(port_index(port) * -(-row.flights // slots))
         self.claim.note(version=__version__, ports=self._ports())
         seeds, ports = trials([port], row.flights, matrix.seed)
-        told = {"slots": slots, "name": row_name(*row.key), "outages": self.condition.outages}
+        told = {"slots": slots, "name": row_name(*row.key)}
         flown = fly_episodes(self.policy, self.condition.flown(), seeds, ports, progress, **told)
         flown = add_coasts(flown, _field(None))
         flown.save(self.folder / _file(port))
@@ -233,9 +233,7 @@ class Store:
 
     def _settings(self) -> dict[str, Any]:
         boxes = self.condition.map_boxes()
-        outages = self.condition.outages
-        quiet = {} if outages is None else {"outages": outages._asdict()}
-        return quiet | {
+        return {
             "policy": content_digest(self.row.source),
             "planner": planner_of(self.row.planner).model_dump() if self.row.planner else None,
             "told": self.condition.told().model_dump(mode="json"),
