@@ -13,6 +13,8 @@ from owm_envs.adapters.gymnasium import DockingGymEnv, DockingVectorEnv
 from owm_envs.config import load_config
 from owm_envs.config.docking import ball
 from owm_envs.config.params import goals_of
+from owm_envs.datasets.generate import generate
+from owm_envs.datasets.recipe import Request
 from owm_envs.dynamics.turning import apparent, seen_at_rest, seen_turning
 from owm_envs.env import DockingEnv
 from owm_envs.policies import VectorPolicy, make_policy
@@ -174,3 +176,12 @@ def test_dock_safe_docks_with_it(rate):
     assert (info["outcome"] == Outcome.DOCKED).all() and info["clearance"].min() > 1.0
     assert (info["closest_speed"] < 0.1).all() and np.degrees(info["closest_attitude"]).max() < 1.0
     env.close()
+
+
+def test_what_shows_the_station_says_so(tmp_path):
+    with pytest.raises(ValueError, match="pixels show the station"):
+        tumbling(observation="pixels")
+    with pytest.raises(ValueError, match="draws the station"):
+        DockingGymEnv(tumbling(), render_mode="rgb_array")
+    with pytest.raises(ValueError, match="datasets are of the station"):
+        generate(tmp_path / "set", tumbling(), Request(transitions=10, val_transitions=10))

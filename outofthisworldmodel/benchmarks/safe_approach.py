@@ -6,8 +6,8 @@ python benchmarks/safe_approach.py --pictures docs/results/figures
 python benchmarks/safe_approach.py --flights 2 --conditions "force x dead" leak "outages of 10 s"
 
 Every policy flies the same starts, in `iss-numerical` with cooperative noise unless a condition of
-`owm.study.conditions` says otherwise; after a model stands how it is planned
-with. Each table is followed by its figures as JSON.
+`owm.study.conditions` says otherwise; after a model stands how it is planned with. Each table is followed by its
+figures as JSON.
 """
 
 import argparse
@@ -24,20 +24,25 @@ from owm.scores.docking import fly_episodes, trials
 from owm.scores.flights import score
 from owm.study.conditions import Condition, condition
 from owm.study.matrix import planner_of
-from owm_envs.field import GeodesicField, load_field
+from owm_envs.field import GeodesicField
 from owm_envs.figures import save_figure
+from owm_envs.policies.geodesic import field_of
 
 POLICIES = ("dock-geodesic", "ekf-mpc", "pretrained, geodesic", "pretrained, safe", "dock-safe")
 
 
-def fly(options: argparse.Namespace, name: str, flown_in: Condition, field: GeodesicField) -> tuple[dict, Coasts]:
-    """The figures of one policy under one condition, and its coasts."""
+def fly(
+    options: argparse.Namespace, name: str, flown_in: Condition, field: GeodesicField
+) -> tuple[dict, Coasts | None]:
+    """The figures of one policy under one condition, and its coasts; none beside a target that turns."""
     source, _, planner = name.partition(", ")
     seeds, ports = trials(per_port=options.flights, seed=options.seed)
     slots = min(100, len(seeds))
-    policy = load_policy(source, flown_in.told(), slots, planner=planner_of(planner or "geodesic"), field=field)
+    told = flown_in.told()
+    policy = load_policy(source, told, slots, planner=planner_of(planner or "geodesic"), field=field)
     flights = fly_episodes(policy, flown_in.flown(), seeds, ports, slots=slots)
-    scores = score(add_coasts(flights, field))
+    still = not told.structure.turning
+    scores = score(add_coasts(flights, field) if still else flights)
     figures = {
         "flights": len(seeds),
         "strict": scores["success"]["0.1 m full voided"]["count"],
@@ -51,7 +56,7 @@ def fly(options: argparse.Namespace, name: str, flown_in: Condition, field: Geod
         "median delta-v m/s": scores["median_delta_v"],
         "least clearance m": scores["least_clearance"],
     }
-    return figures, coasts_of(flights, field)
+    return figures, coasts_of(flights, field) if still else None
 
 
 def main() -> None:
@@ -63,9 +68,9 @@ def main() -> None:
     parser.add_argument("--conditions", nargs="+", default=["nominal"])
     parser.add_argument("--pictures", type=Path, help="folder to draw into")
     options = parser.parse_args()
-    field, console = load_field(), Console()
+    console = Console()
     for asked in map(condition, options.conditions):
-        figures, coasts = {}, {}
+        field, figures, coasts = field_of(asked.told()), {}, {}
         for name in options.policies:
             with console.status(f"{name} flies: {asked.what}"):
                 figures[name], coasts[name] = fly(options, name, asked, field)

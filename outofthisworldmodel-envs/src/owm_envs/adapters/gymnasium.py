@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from owm_envs.adapters.actions import real_numbers
 from owm_envs.adapters.batch import BatchProgram, Seen
 from owm_envs.adapters.parts import Shown, each, shown, space_of
-from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset
+from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset, require_station
 from owm_envs.adapters.seeds import drawn_seed, slot_seeds
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.dynamics import Dynamics
@@ -33,6 +33,7 @@ class _Shell:
 
     def _build(self, config, overrides, num_envs: int, autoreset: AutoresetMode, pictures: Pictures, dynamics, sensors):
         self.config: DockingConfig = load_config(config, **overrides)
+        require_station(self.config, pictures.mode)
         self.render_mode = pictures.mode
         self._pictures = pictures
         self.docking_env = DockingEnv(self.config, dynamics=dynamics, sensors=sensors)

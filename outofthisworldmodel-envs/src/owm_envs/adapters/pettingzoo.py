@@ -16,7 +16,7 @@ from owm_envs.adapters.batch import Seen, state_from_host, state_to_host
 from owm_envs.adapters.fork import about_to_use_jax
 from owm_envs.adapters.gymnasium import scalar_info
 from owm_envs.adapters.parts import Shown, each, shown, space_of
-from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset
+from owm_envs.adapters.pictures import RENDER_MODES, SIZE, Pictures, need_reset, require_station
 from owm_envs.adapters.seeds import drawn_seed, seed_keys
 from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import Params
@@ -144,6 +144,7 @@ class DockingParallelEnv(ParallelEnv):
         **overrides: Any,
     ):
         self.config: DockingConfig = load_config(config, **overrides)
+        require_station(self.config, render_mode)
         self.render_mode = render_mode
         self._observe_others = observe_others
         self._sensors = tuple(sensors)

@@ -6,12 +6,19 @@ import gymnasium
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from owm_envs.config import DockingConfig
 from owm_envs.view import View
 from owm_envs.words import short, unknown
 
 RENDER_MODES = ("rgb_array",)
 SIZE = (960, 540)
 """Width and height of a picture in pixels, if not given."""
+
+
+def require_station(config: DockingConfig, mode: str | None) -> None:
+    """Raise ValueError if pictures are asked for of another target than the station at rest."""
+    if mode is not None and config.own_target:
+        raise ValueError(f"render_mode={mode!r} draws the station at rest, and the target has settings of its own")
 
 
 class Pictures:

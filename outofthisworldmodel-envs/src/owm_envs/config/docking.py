@@ -180,6 +180,8 @@ class DockingConfig(Frozen):
                         f"{name} has settings, but the observation {self.observation!r} has no pixels: "
                         "ask for observation='pixels' or 'state+pixels'"
                     )
+        elif self.own_target:
+            raise ValueError("pixels show the station at rest: leave target and randomization.target_rate_deg alone")
         if self.camera.view == "station_top" and self.camera.field_deg is not None:
             raise ValueError("camera.field_deg is of perspective views, and 'station_top' is orthographic")
         return self
@@ -190,6 +192,11 @@ class DockingConfig(Frozen):
             many = name in ("hull", "obstacles") and len(value) > 3
             short.append((name, f"{len(value)} boxes" if many else value))
         return short
+
+    @property
+    def own_target(self) -> bool:
+        """Whether the target is not the station at rest, which is what pictures and datasets are of."""
+        return self.target != TargetConfig() or self.randomization.turning
 
     @property
     def has_pixels(self) -> bool:

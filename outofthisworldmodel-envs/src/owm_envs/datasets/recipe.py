@@ -117,7 +117,7 @@ def splits(request: Request, config: DockingConfig) -> dict[str, Split]:
     """Settle what each split is to be.
 
     Raises:
-        ValueError: a port is not one of the environment's, or no train port is.
+        ValueError: a port is not one of the environment's, or no train port is; the target is not the station at rest.
     """
 
     def chosen(name: str, own: tuple[str, ...] | None, usual: list[str]) -> list[int]:
@@ -126,6 +126,8 @@ def splits(request: Request, config: DockingConfig) -> dict[str, Split]:
                 raise ValueError(f"{name} must be of the environment's ports ({', '.join(config.ports)}), got {port!r}")
         return [port_index(port) for port in (usual if own is None else own)]
 
+    if config.own_target:
+        raise ValueError("datasets are of the station at rest: leave target and randomization.target_rate_deg alone")
     train = chosen("ports", request.ports, [name for name in config.ports if name in TRAIN_PORTS])
     if not train:
         raise ValueError(f"ports must name at least one train port ({', '.join(TRAIN_PORTS)}), got {config.ports}")

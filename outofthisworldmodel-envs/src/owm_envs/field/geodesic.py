@@ -34,6 +34,7 @@ from owm_envs.files import remove, write_atomically
 from owm_envs.flags import own_promotion
 from owm_envs.shell import terminal
 from owm_envs.station import PORT_NAMES, PORTS, goal_poses, hull_boxes, port_index
+from owm_envs.station.ports import outward_normals
 
 __all__ = ["FieldConfig", "GeodesicField", "clearance", "cost_to_go", "field_rows", "load_field", "solve_field"]
 
@@ -343,8 +344,7 @@ def load_field(
     boxes = hull_boxes() if boxes is None else boxes
     normals = np.array([port.normal for port in PORTS], np.float64)
     if poses is not None:
-        w, x, y, z = np.asarray(poses, np.float64)[:, 3:].T
-        normals = -np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
+        normals = outward_normals(poses)
     boxes, goals, normals = _checked(boxes, (goal_poses() if poses is None else poses)[:, :3], normals, _SPHERE_RADIUS)
     # All eight ports place the grids, whichever are asked for: so each port's file serves every selection.
     grids = grid_layout(boxes, goals, normals, _SPHERE_RADIUS, config)

@@ -128,3 +128,16 @@ def goal_poses() -> Float[np.ndarray, "8 7"]:
         position = np.asarray(port.interface, np.float64) + port.standoff * np.asarray(port.normal, np.float64)
         rows.append(np.concatenate([position, docked_attitude(port.normal)]))
     return np.stack(rows)
+
+
+def outward_normals(poses: Float[np.ndarray, "P 7"]) -> Float[np.ndarray, "P 3"]:
+    """Give the outward normals of ports from hold poses: against the nose of a chaser that holds there.
+
+    Args:
+        poses: (P, 7) position [m] and unit q_bw (scalar first).
+
+    Returns:
+        (P, 3) unit vectors.
+    """
+    w, x, y, z = np.asarray(poses, np.float64)[:, 3:].T
+    return -np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)

@@ -13,8 +13,10 @@ from owm.scores.flights import Flights, join
 from owm.scores.tape import Tape
 from owm_envs.adapters.gymnasium import DockingVectorEnv
 from owm_envs.config import DockingConfig, load_config
+from owm_envs.config.params import goals_of
 from owm_envs.episode import Episode
-from owm_envs.station import PORT_NAMES, PORTS, goal_poses, port_index
+from owm_envs.station import PORT_NAMES, port_index
+from owm_envs.station.ports import outward_normals
 from owm_envs.task.events import OUTCOME_NAMES
 from owm_envs.task.observation import Observation, seen_now
 from owm_envs.view import VIEW_SIZE, View
@@ -121,7 +123,7 @@ def fly_episodes(
     for first in range(0, len(seeds), slots):
         index = np.arange(first, first + slots) % len(seeds)
         told = None if progress is None else lambda *now, first=first: progress(first, *now)
-        tape = None if keep is None else Tape(name)
+        tape = None if keep is None else Tape(name, goals_of(config))
         batch = _fly_batch(policy, env, seeds[index], ports[index], told, record, name, tape)
         real = slice(0, len(seeds) - first)
         parts.append(batch.select(real))
@@ -189,7 +191,7 @@ def _fly_batch(policy, env, seeds, ports, progress, record, name, tape) -> Fligh
         outcome=np.array(OUTCOME_NAMES).take(info["outcome"]),
         collided=info["collided"].copy(),
         **closest,
-        **_split(approach, ports),
+        **_split(approach, goals_of(config)[ports]),
         clearance=info["clearance"].copy(),
         time=flown,
         delta_v=force / config.chaser.mass,
@@ -230,10 +232,10 @@ def state_at(
     return np.concatenate([position, velocity], axis=1)
 
 
-def _split(states: Float[np.ndarray, "N 6"], ports: Int[np.ndarray, "N"]) -> dict[str, Float[np.ndarray, "N"]]:
+def _split(states: Float[np.ndarray, "N 6"], goals: Float[np.ndarray, "N 7"]) -> dict[str, Float[np.ndarray, "N"]]:
     """Offset from the hold pose and velocity, along and across the normal of each flight's port."""
-    normal = np.array([port.normal for port in PORTS])[ports]
-    offset, velocity = states[:, :3] - goal_poses()[ports, :3], states[:, 3:]
+    normal = outward_normals(goals)
+    offset, velocity = states[:, :3] - goals[:, :3], states[:, 3:]
     axial, outwards = (np.sum(vector * normal, axis=1) for vector in (offset, velocity))
     return {
         "closest_axial": axial,

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from owm_envs.episode import POLICY_NAMES, Episode
-from owm_envs.station import goal_poses
 from owm_envs.task.events import Outcome
 from owm_envs.task.sensors import STATE, STATE_VALID
 
@@ -17,9 +16,11 @@ class Tape:
 
     Args:
         policy: name of who flies.
+        goals: hold pose of each port.
     """
 
-    def __init__(self, policy: str):
+    def __init__(self, policy: str, goals: Float[np.ndarray, "8 7"]):
+        self._goals = goals
         self.policy = POLICY_NAMES.index(policy) if policy in POLICY_NAMES else -1
         self._frames: list[tuple[np.ndarray, ...]] = []
         self._fresh: list[np.ndarray] = []
@@ -46,7 +47,7 @@ class Tape:
         measured, true, epoch = (np.stack(values, axis=1) for values in zip(*self._frames))
         action, reward, flying = (np.stack(values, axis=1) for values in zip(*self._decisions))
         seen = {STATE: measured} | ({STATE_VALID: np.stack(self._fresh, axis=1)[..., None]} if self._fresh else {})
-        made, goals = [], goal_poses()
+        made, goals = [], self._goals
         for slot, port in enumerate(ports):
             length = int(flying[slot].sum())
             last = np.arange(length) == length - 1

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from owm.scores.docking import evaluation_config
-from owm_envs.config import DockingConfig, load_config
+from owm_envs.config import CONFIG_PRESETS, DockingConfig, load_config
 from owm_envs.config.parts import NOISE_PRESETS, ChaserConfig
 from owm_envs.station import hull_boxes
 from owm_envs.words import unknown
@@ -29,6 +29,8 @@ class Condition:
     noise: str = "cooperative"
     """What policies that know a noise model are told."""
     fidelity: str = "iss-numerical"
+    known: dict[str, Any] = field(default_factory=dict)
+    """Fields of the environment that policies are told."""
     hidden: dict[str, Any] = field(default_factory=dict)
     """Fields of the environment that policies are not told: they are built for the nominal one."""
     map: Callable[[Boxes], Boxes] | None = None
@@ -36,7 +38,7 @@ class Condition:
 
     def told(self) -> DockingConfig:
         """The environment that policies are built for."""
-        return evaluation_config(self.shell, noise=self.noise, fidelity=self.fidelity)
+        return evaluation_config(self.shell, noise=self.noise, fidelity=self.fidelity, **self.known)
 
     def flown(self) -> DockingConfig:
         """The environment that they fly."""
@@ -150,6 +152,13 @@ CONDITIONS: dict[str, Condition] = {
     ),
     "turned by 30 deg": _failing("thrust and torque turned by 30 deg about body (1, 1, 1)", misalignment=_turn(30.0)),
     "turned by 45 deg": _failing("thrust and torque turned by 45 deg about body (1, 1, 1)", misalignment=_turn(45.0)),
+    **{
+        f"target turns at {rate} deg/s": Condition(
+            f"no station, but a ball of 3 m that turns at {rate} deg/s; starts 40–80 m out",
+            known=CONFIG_PRESETS["tumbling"] | {"randomization": {"target_rate_deg": (rate, rate)}},
+        )
+        for rate in (1, 2, 3, 5)
+    },
     "tumbling": Condition("starts at up to 60 deg/s", hidden={"reset": {"rate": np.radians(60.0)}}),
     **{
         f"force {name} dead": _failing(f"no force along body {name}, from the start", thrust_scale=_dead(axis))

@@ -23,6 +23,7 @@ from owm.study.workers import fly_side_by_side, missing_flights, spell
 from owm_envs.claims import Claim
 from owm_envs.files import FolderTaken, output_folder, remove
 from owm_envs.policies import SlotPolicy
+from owm_envs.policies.geodesic import field_of
 from owm_envs.station import PORT_NAMES, port_index
 from owm_envs.words import unknown
 
@@ -201,20 +202,22 @@ class Store:
 
     def fly(self, port: str, slots: int, progress: Callable[..., None]) -> float:
         """Fly to one port and keep the flights; the wall time it took, s."""
-        began, row, matrix = time.perf_counter(), self.row, self.matrix
+        began, row, matrix, told = time.perf_counter(), self.row, self.matrix, self.condition.told()
         slots = min(slots, row.flights)
         if self.policy is None:
             planner = planner_of(row.planner) if row.planner else None
-            chart = _field(self.condition.map)
-            self.policy = load_policy(row.source, self.condition.told(), slots, matrix.seed, planner, chart)
+            chart = _field(self.condition.map) if told.target.hold is None else field_of(told)
+            self.policy = load_policy(row.source, told, slots, matrix.seed, planner, chart)
         if isinstance(self.policy, SlotPolicy):
             # Draws follow the number of the episode: that of a run to all ports in turn, whatever has been flown.
             self.policy.restart(port_index(port) * -(-row.flights // slots))
         self.claim.note(version=__version__, ports=self._ports())
         seeds, ports = trials([port], row.flights, matrix.seed)
-        told = {"slots": slots, "name": row_name(*row.key)}
-        flown = fly_episodes(self.policy, self.condition.flown(), seeds, ports, progress, **told)
-        flown = add_coasts(flown, _field(None))
+        flown = fly_episodes(
+            self.policy, self.condition.flown(), seeds, ports, progress, slots=slots, name=row_name(*row.key)
+        )
+        if not told.structure.turning:  # what coasts beside a target that turns is not looked at
+            flown = add_coasts(flown, _field(None))
         flown.save(self.folder / _file(port))
         seconds = time.perf_counter() - began
         facts = {"seconds": round(seconds, 2), "source": source_digest()[:16]}
