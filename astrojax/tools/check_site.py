@@ -1,6 +1,8 @@
-"""Look over the site that was built: every public name in the reference, no docstring left as typed, every picture there.
+"""Look over the built site: every public name is there, no docstring is left as typed, every picture is found.
 
-python astrojax/tools/check_site.py      # after `zensical build`; `nox -s docs` does both
+    python astrojax/tools/check_site.py
+
+`nox -s docs` builds the site first.
 """
 
 import html
