@@ -18,6 +18,7 @@ from sgp4.api import Satrec
 from astrojax import constants, orbits
 
 matplotlib.use("Agg")
+pytestmark = pytest.mark.slow  # each compiles a program or two
 
 
 def example(name: str):
@@ -40,7 +41,6 @@ def run(tmp_path):
     return run
 
 
-@pytest.mark.slow
 def test_the_node_drifts_as_the_formula_says(run):
     found = run(example("propagate"), "--hours", "4")
     assert found["apart"] < 1.0
@@ -48,7 +48,6 @@ def test_the_node_drifts_as_the_formula_says(run):
     assert found["J2 alone"] != found["all forces"]
 
 
-@pytest.mark.slow
 def test_passes_against_sgp4_and_astropy(run, monkeypatch):
     monkeypatch.setattr(iers.conf, "auto_download", False)
     module = example("stations")
@@ -82,7 +81,6 @@ def test_passes_against_sgp4_and_astropy(run, monkeypatch):
     assert lit == {True, False}
 
 
-@pytest.mark.slow
 def test_a_filter_knows_its_own_error(run):
     runs = run(example("orbit_determination"), "--runs", "16", "--steps", "160", "--filters", "ekf")["ekf"]
     looks = np.isfinite(runs.nis).sum()
@@ -93,7 +91,6 @@ def test_a_filter_knows_its_own_error(run):
     assert runs.expected[:, -1].max() < 0.5 * runs.expected[:, 0].min()
 
 
-@pytest.mark.slow
 def test_screening_misses_nothing_that_brute_force_finds(run):
     options = ("--objects", "600", "--hours", "0.05", "--threshold", "100", "--checked", "200")
     rows, checked, missed, apart = run(example("conjunction"), *options)
@@ -101,7 +98,6 @@ def test_screening_misses_nothing_that_brute_force_finds(run):
     assert apart < 5.0  # metres: brute force passes on straight lines
 
 
-@pytest.mark.slow
 def test_what_is_kept_about_a_turning_asteroid(run):
     module = example("asteroid")
     found, field = run(module, "--days", "0.6", "--subdivisions", "2", "--points", "300")
@@ -116,7 +112,6 @@ def test_what_is_kept_about_a_turning_asteroid(run):
     np.testing.assert_allclose(field.laplacian / poisson, field.inside, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_displacements_of_a_sweep(run):
     module = example("sweep")
     found = run(module, "--hours", "2")  # which compares a flight with a model without weights itself
