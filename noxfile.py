@@ -27,6 +27,8 @@ TOOLS = ROOT / ".github" / "tools.txt"
 """What builds the wheels, to the byte."""
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 """Names that tests look for in the path, unless `OWM_CHROMIUM` says where it is."""
+GUIDE = {"conjunction": ("--objects", "6000", "--threshold", "5")}
+"""What examples are told for the guide, other than what they do unasked."""
 CLIENTS = ("==0.34.0", ">=2")
 """Of the Hugging Face hub: the oldest that pyproject.toml allows, and the newest."""
 
@@ -194,6 +196,24 @@ def browser(session: nox.Session) -> None:
     if not (os.environ.get("OWM_CHROMIUM") or any(map(shutil.which, CHROMIUM))):
         session.run("playwright", "install", "chromium")
     session.run("pytest", "outofthisworldmodel-envs/tests_browser", *session.posargs, env=_test_environment(session))
+
+
+@nox.session
+def docs(session: nox.Session) -> None:
+    """Run the examples of astrojax's guide and build its site, astrojax/build/docs; a warning is an error."""
+    _install(session, *_editable("docs", "astrojax"), RUFF)
+    home = ROOT / "astrojax"
+    guide = home / "docs" / "guide"
+    (guide / "made").mkdir(exist_ok=True)
+    for page in sorted(guide.glob("*.md")):
+        command = ["python", str(home / "examples" / f"{page.stem}.py"), *GUIDE.get(page.stem, ())]
+        with (guide / "made" / f"{page.stem}.txt").open("w", encoding="utf-8") as said:
+            session.run(
+                *command, "--out", str(guide / "made"), stdout=said, stderr=sys.stderr, env={"MPLBACKEND": "Agg"}
+            )
+    with session.chdir(home):
+        session.run("zensical", "build", "--clean", "--strict", "--config-file", "mkdocs.yml")
+        session.run("python", "tools/check_site.py")
 
 
 @nox.session

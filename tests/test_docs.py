@@ -21,7 +21,12 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "jax.md"
 PACKAGES = ("astrojax", "outofthisworldmodel-envs", "outofthisworldmodel")
 PAGES = sorted(
-    [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *(ROOT / package / "README.md" for package in PACKAGES)]
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("astrojax/docs/**/*.md"),
+        *(ROOT / package / "README.md" for package in PACKAGES),
+    ]
 )
 FILES = [path.as_posix() for package in PACKAGES for path in sorted((ROOT / package).rglob("*.*"))]
 SOURCES = "\n".join(Path(name).read_text(encoding="utf-8") for name in FILES if name.endswith(".py"))
@@ -73,7 +78,8 @@ def test_two_processes_fly_one_set_of_slots(tmp_path):
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_to_files(page):
     targets = re.findall(r"\]\((?!https?:|#)([^)#\s]+)", page.read_text(encoding="utf-8"))
-    assert not [target for target in targets if not (page.parent / target).exists()]
+    # `nox -s docs` makes what the guide shows, and looks whether it is there.
+    assert not [each for each in targets if not each.startswith("made/") and not (page.parent / each).exists()]
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "decisions").glob("*.md")), ids=lambda path: path.stem)

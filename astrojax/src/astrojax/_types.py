@@ -5,11 +5,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
 Scalar = Real[ArrayLike, ""]
+"""A number of any real type: of Python, of NumPy, or an array without axes."""
 FloatScalar = Float[Array, ""]
+"""A floating-point array without axes."""
 Vector3 = Float[Array, "3"]
+"""A vector."""
 Vector6 = Float[Array, "6"]
+"""Position and velocity, or six elements of an orbit."""
 Quaternion = Float[Array, "4"]
+"""A quaternion, scalar first."""
 Matrix3 = Float[Array, "3 3"]
+"""A rotation or another matrix; times a vector of the old axes it gives that of the new."""
 
 
 def float_dtype(*args: ArrayLike) -> jnp.dtype:

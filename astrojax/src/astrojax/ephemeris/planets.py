@@ -111,6 +111,7 @@ _ANOMALY = {
     "pluto": (-0.01262724, 0.0, 0.0, 0.0),
 }
 TABLES = tuple(_TABLES)
+"""Spans of years of the two tables of elements."""
 _INTERVALS = {"1800-2050": (-21504, 70172), "3000BC-3000AD": (-1774303, 417151)}  # MJD, Gregorian years
 
 _OBLIQUITY = math.radians(23.43928)  # of the tables' own description

@@ -27,7 +27,7 @@ _KM = 1e3
 class Segment:
     """One body about another over a span, as Chebyshev series of equal length: a pytree.
 
-    Fields:
+    Attributes:
         coefficients: (N, components, terms) [m], for type 3 also [m/s]; of record 0 first.
         first_day, first_seconds: start of the first record, MJD (TDB) and seconds of that day.
         record: length of a record [s].
@@ -96,7 +96,7 @@ class Segment:
 class Kernel:
     """The segments of a kernel: a pytree.
 
-    Fields:
+    Attributes:
         segments: in the order of the file.
     """
 

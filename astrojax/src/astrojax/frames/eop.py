@@ -16,7 +16,14 @@ from astrojax._types import FloatScalar, Scalar, float_dtype
 from astrojax.frames.eop_files import Rows, join, load_compact, parse_c04, parse_finals
 from astrojax.time import tai_minus_utc, utc_day_length
 
-EOP_MEASURED, EOP_PREDICTED, EOP_BEFORE_TABLE, EOP_AFTER_TABLE = 0, 1, 2, 3
+EOP_MEASURED = 0
+"""Status of an Earth orientation: measured."""
+EOP_PREDICTED = 1
+"""Status: predicted."""
+EOP_BEFORE_TABLE = 2
+"""Status: before the table, whose first row is held."""
+EOP_AFTER_TABLE = 3
+"""Status: after the table, whose last row is held."""
 
 _SI = np.array([c.ARCSECOND, c.ARCSECOND, 1.0, c.ARCSECOND, c.ARCSECOND, 1.0])
 
@@ -24,7 +31,7 @@ _SI = np.array([c.ARCSECOND, c.ARCSECOND, 1.0, c.ARCSECOND, c.ARCSECOND, 1.0])
 class EarthOrientation(NamedTuple):
     """Earth orientation at one instant.
 
-    Fields:
+    Attributes:
         x, y: pole of the ITRS in the TIRS [rad].
         ut1_minus_utc: [s].
         dx, dy: correction of the celestial pole of IAU 2006/2000A [rad].
@@ -57,7 +64,7 @@ def no_orientation(dtype: np.typing.DTypeLike = float) -> EarthOrientation:
 class EOP:
     """A table of Earth orientation parameters, a row a day at 0h UTC; a pytree.
 
-    Fields:
+    Attributes:
         columns: (N, 6) x, y [rad], UT1 - TAI [s], dX, dY [rad], length of day beyond 86400 s [s].
         first_day: MJD of the first row.
         measured: rows that are measured; the rest is predicted.

@@ -18,7 +18,7 @@ _UNITS = np.array([1e-6, 1e-6, 1e-7, 1e-6, 1e-6, 1e-7])
 class Rows(NamedTuple):
     """Daily rows of Earth orientation parameters.
 
-    Fields:
+    Attributes:
         first_day: MJD of the first row.
         columns: (N, 6), as the module says.
         measured: rows that are measured; the rest is predicted.

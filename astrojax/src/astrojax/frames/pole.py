@@ -19,7 +19,7 @@ POLE_INSIDE, POLE_OUTSIDE = 0, 1
 class CelestialPole(NamedTuple):
     """Direction of the celestial intermediate pole in GCRF, and its origin.
 
-    Fields:
+    Attributes:
         x, y: the pole's direction cosines.
         s: locator of the celestial intermediate origin [rad].
         status: 0, or 1 outside the span of a `PoleTable`, whose nearest end is then given.
@@ -43,7 +43,7 @@ class PoleModel(Protocol):
 class PoleSeries:
     """The celestial pole of IAU 2006/2000A, summed from its series.
 
-    Fields:
+    Attributes:
         terms: how many terms, largest first; static. All 1322 are the model. Error of the rotation over 1962 to 2050
             with fewer (and at the height of GEO): 600 1.1e-10 (5 mm), 300 4.2e-10 (2 cm), 100 2.7e-9 (10 cm), 30 2e-8
             (0.9 m), 10 1.5e-7 (6 m), none, which is precession alone, 5e-5 (2 km).
@@ -90,7 +90,7 @@ def _pole(t: FloatScalar, terms: int) -> CelestialPole:
 class PoleTable:
     """The celestial pole over a span, interpolated between nodes at equal steps: a pytree that `pole_table` makes.
 
-    Fields:
+    Attributes:
         nodes: (N, 3) X, Y and s.
         first_day: MJD (TT) of the first node.
         step: days between nodes; static.

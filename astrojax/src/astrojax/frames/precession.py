@@ -50,7 +50,7 @@ _LOCATOR = (94.0e-6, 3808.65e-6, -122.68e-6, -72574.11e-6, 27.98e-6, 15.62e-6)
 class Angles(NamedTuple):
     """Where the equator of date is in GCRF [rad].
 
-    Fields:
+    Attributes:
         gamma, phi, psi, epsilon: Fukushima-Williams angles of precession and bias.
         dpsi, depsilon: nutation in longitude and obliquity.
         locator: s + XY/2 of the celestial intermediate origin.

@@ -16,9 +16,14 @@ from astrojax._types import FloatScalar, Scalar
 from astrojax.propagate.dormand_prince import DORMAND_PRINCE
 from astrojax.propagate.methods import Method
 
-SUCCESS, TOO_MANY_STEPS, STEP_TOO_SMALL, NOT_FINITE = range(4)
-"""Status: the end was reached; `max_steps` tried before it; the tolerance wants steps too short for the time's digits;
-the derivative was no number however short the step."""
+SUCCESS = 0
+"""Status of an integration: the end was reached."""
+TOO_MANY_STEPS = 1
+"""Status: `max_steps` were tried before the end."""
+STEP_TOO_SMALL = 2
+"""Status: the tolerance wants steps too short for the time's digits."""
+NOT_FINITE = 3
+"""Status: the derivative was no number however short the step."""
 _SAFETY, _SHRINK, _GROW = 0.9, 0.2, 5.0
 _FINEST = 16.0  # shortest step, in units of the time's last digit
 

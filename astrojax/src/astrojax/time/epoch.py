@@ -17,6 +17,7 @@ from astrojax.time.tdb import tdb_minus_tt
 from astrojax.time.two_parts import two_part_sum
 
 SCALES = ("utc", "tai", "tt", "ut1", "tdb", "gps")
+"""Scales that an epoch may count in."""
 _TAI_PLUS = {"tai": 0.0, "tt": c.TT_MINUS_TAI, "gps": -19.0}
 """Scales a constant number of seconds from TAI (GPS time: IS-GPS-200, at its epoch of 1980)."""
 
@@ -26,7 +27,7 @@ _TAI_PLUS = {"tai": 0.0, "tt": c.TT_MINUS_TAI, "gps": -19.0}
 class Epoch:
     """An instant: whole days, seconds of the day in two parts, and the scale they count in.
 
-    Fields:
+    Attributes:
         day: whole MJD.
         seconds: seconds of day [s], in [0, 86400); in UTC up to the day's length, 86401 with a leap second.
         rest: what rounding takes from `seconds` [s].

@@ -48,7 +48,12 @@ _DRIFT = np.concatenate([_TABLE[:, 3], np.zeros(len(_LEAPS))])
 LEAP_SECONDS_EXPIRE = 61584
 """MJD (2027-06-28) until which no further leap second can come: Bulletin C 72 of July 2026."""
 
-UTC_KNOWN, UTC_BEFORE_TABLE, UTC_AFTER_TABLE = 0, 1, 2
+UTC_KNOWN = 0
+"""Status of a UTC epoch: its leap seconds are known."""
+UTC_BEFORE_TABLE = 1
+"""Status: before the table begins."""
+UTC_AFTER_TABLE = 2
+"""Status: after the table expires: a leap second may have been announced since."""
 
 
 def _line(day: Scalar) -> Int[Array, ""]:

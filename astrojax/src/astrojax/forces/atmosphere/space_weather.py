@@ -12,9 +12,14 @@ from jaxtyping import Array, ArrayLike, Int, Real, Shaped
 from astrojax._types import FloatScalar, Scalar, float_dtype
 from astrojax.time import normalize_epoch
 
-OBSERVED, PREDICTED, MONTHLY, OUTSIDE = range(4)
-"""Status of a value: measured; predicted for its day; predicted for its month (then without magnetic activity, which is
-`QUIET`); outside the table, where the nearest day's is held."""
+OBSERVED = 0
+"""Status of a value: measured."""
+PREDICTED = 1
+"""Status: predicted for its day."""
+MONTHLY = 2
+"""Status: predicted for its month, then without magnetic activity, which is taken as quiet."""
+OUTSIDE = 3
+"""Status: outside the table, where the nearest day's is held."""
 QUIET = 10
 _SLOTS = 8  # three-hourly values of a day
 
