@@ -15,6 +15,8 @@ sys.path.insert(0, str(Path(__file__).parent / "tests"))
 
 from local_hub import LocalHub
 
+pytest_plugins = ["costs"]
+
 # Tracing makes objects by the million, few of them in circles: by default the collector takes a tenth of the time.
 gc.set_threshold(100_000, 50, 50)
 # To wait for the disk costs more than all else that writes; `test_files.py` sees to it that it is waited for.

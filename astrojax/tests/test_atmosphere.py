@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 
 from astrojax import forces
 from astrojax.forces import atmosphere
@@ -108,14 +109,20 @@ def test_gradients_are_finite_at_every_height_and_place(quick, x64):
         weather = atmosphere.SpaceWeather(*weather)
         return jnp.log(atmosphere.density_nrlmsise00(r, 60000, seconds, weather, atmosphere.STORM_TIME))
 
+    def slope(r, seconds, weather, along):
+        """Along one of the twelve numbers of place and weather: all of them batched take four times as long."""
+        numbers, parts = ravel_pytree((r, weather))
+        by_number = lambda numbers: log_density(parts(numbers)[0], seconds, parts(numbers)[1])
+        return jax.jvp(by_number, (numbers,), (along,))[1]
+
     # Forward mode compiles in a third of the time; the conformance cases take the reverse.
-    gradient = quick(jax.vmap(jax.jacfwd(log_density, argnums=(0, 2)), in_axes=(0, None, None)))
+    slope = quick(jax.vmap(slope, in_axes=(0, None, None, None)))
     for dtype in (jnp.float64, jnp.float32):
         weather = tuple(x.astype(dtype) for x in storm[:3])
-        by_place, by_weather = gradient(jnp.asarray(r.reshape(-1, 3), dtype), jnp.asarray(4e4, dtype), weather)
-        assert by_place.dtype == dtype
-        assert np.all(np.isfinite(by_place))
-        assert all(np.all(np.isfinite(x)) for x in by_weather)
+        for along in np.eye(12, dtype=dtype):
+            found = slope(jnp.asarray(r.reshape(-1, 3), dtype), jnp.asarray(4e4, dtype), weather, along)
+            assert found.dtype == dtype
+            assert np.all(np.isfinite(found))
 
 
 def test_sweeping_switches_and_weather_recompiles_nothing(quick, x64):

@@ -141,6 +141,7 @@ def test_frames_come_when_due_and_are_held_between(flight):
     assert len(np.unique(frames[0].reshape(-1, 3), axis=0)) > 5, "something is to be seen"
 
 
+@pytest.mark.slow
 def test_a_frame_is_the_camera_s_picture_of_the_truth(flight):
     from owm_envs.camera.effects import looking
     from owm_envs.camera.light import heavens
@@ -166,6 +167,7 @@ def test_a_frame_is_the_camera_s_picture_of_the_truth(flight):
     assert np.mean(difference > 2) < 0.01
 
 
+@pytest.mark.slow
 def test_the_state_part_is_that_of_an_environment_without_pixels(flight):
     plain, _ = flown(gymnasium.make("ISS-v0", config=CONFIG), seed=1)
     np.testing.assert_array_equal([one["state"] for one in flight[0]], plain)
@@ -208,6 +210,7 @@ def test_slots_of_a_batch_are_scalar_environments(mode):
     assert envs.unwrapped.traces["step"] == envs.unwrapped.traces["reset"] == 1
 
 
+@pytest.mark.slow
 def test_numbers_compile_nothing(flight):
     one = make()
     before = one.unwrapped.traces
@@ -218,12 +221,14 @@ def test_numbers_compile_nothing(flight):
     np.testing.assert_array_equal(seen[-1]["state"], flight[0][-1]["state"])
 
 
+@pytest.mark.slow
 def test_pixels_alone_are_the_same_frames(flight):
     seen, infos = flown(make(observation="pixels"), [], seed=1)
     np.testing.assert_array_equal(seen[0], flight[0][0]["pixels"])
     np.testing.assert_array_equal(infos[0]["measured_state"], flight[1][0]["measured_state"])
 
 
+@pytest.mark.slow
 def test_an_environment_with_pixels_pickles(flight):
     env = make().unwrapped
     env.reset(seed=1)

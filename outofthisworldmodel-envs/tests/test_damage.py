@@ -135,7 +135,6 @@ def _mutations(value, rng: np.random.Generator):
     return changed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["train/meta/info.json", "train/meta/stats.json", "generation.json", MANIFEST])
 def test_whatever_a_table_tells_is_read_or_refused_in_a_line(copy, name):
     if name != MANIFEST:

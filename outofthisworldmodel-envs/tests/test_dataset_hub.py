@@ -50,7 +50,6 @@ def assert_same_episodes(one, other):
             np.testing.assert_array_equal(a.action, b.action)
 
 
-@pytest.mark.slow
 def test_a_run_comes_back_as_it_was(local_hub, run, tmp_path, said_by):
     code, said = said_by(main, "push", run, "user/set")
     assert code == 0

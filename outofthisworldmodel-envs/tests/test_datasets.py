@@ -187,7 +187,6 @@ def test_statistics_of_pixels_are_those_of_all_of_them():
     assert found["count"].tolist() == [6]
 
 
-@pytest.mark.slow
 def test_a_recorded_dataset_is_what_was_asked_for(recorded):
     folder, summary = recorded
     train, val = datasets.read(folder, "train"), datasets.read(folder, "val")

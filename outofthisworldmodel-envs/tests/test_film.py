@@ -68,6 +68,7 @@ def test_pixels_are_recorded_beside_the_state(seeing_run):
         assert moved[::2].max() < 3 and moved[1::2].max() > 0
 
 
+@pytest.mark.slow
 def test_the_command_draws_contact_sheets(seeing_run, tmp_path, capsys):
     import cv2
 
@@ -78,6 +79,7 @@ def test_the_command_draws_contact_sheets(seeing_run, tmp_path, capsys):
     assert image.shape == (48, 64, 3) and image.std() > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "says"),
     [

@@ -108,7 +108,6 @@ def test_clearance_is_the_distance_of_the_sphere_to_the_hull(walled):
     assert 200.0 < found[4] < 880.0
 
 
-@pytest.mark.slow
 @hypothesis.settings(deadline=None, max_examples=80)
 @hypothesis.given(st.tuples(*(st.floats(-1000.0, 1000.0, width=32),) * 3))
 def test_everything_is_finite_everywhere(station_field, place):

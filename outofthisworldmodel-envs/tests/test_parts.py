@@ -154,6 +154,7 @@ def test_a_dataset_keeps_the_parts(recorded):
     assert "observation.range_valid" in (recorded / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_recorded_parts_are_those_of_the_rollout(recorded):
     """Byte for byte what the pure environment shows."""
     env = DockingEnv(load_config(CONFIG), sensors=SENSORS)

@@ -60,7 +60,6 @@ def test_an_unknown_name_names_the_nearest(env):
         make_policy("dock-geodesi", env)
 
 
-@pytest.mark.slow
 def test_dock_reaches_every_port_where_nothing_stands_in_the_way(flights):
     for episode in flights["dock"]:
         assert episode.outcome == Outcome.DOCKED or episode.info["collided"], episode.info

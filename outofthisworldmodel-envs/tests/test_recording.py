@@ -43,6 +43,7 @@ def assert_same_bytes(one, other):
     assert sorted(name for name in one if one[name] != other[name]) == []
 
 
+@pytest.mark.slow
 def test_a_video_holds_the_frame_of_every_row(seeing_run):
     """As the pure environment shows them: a frame at every other decision, held between."""
     env = DockingEnv(CONFIG)
@@ -64,6 +65,7 @@ def test_a_video_holds_the_frame_of_every_row(seeing_run):
         np.testing.assert_array_equal(seen[1::2], seen[:-1:2])
 
 
+@pytest.mark.slow
 def test_statistics_of_the_frames_are_those_before_encoding(seeing_run):
     told = json.loads((seeing_run / "train/meta/stats.json").read_text())[VIDEO]
     frames = (
@@ -74,6 +76,7 @@ def test_statistics_of_the_frames_are_those_before_encoding(seeing_run):
     np.testing.assert_allclose(np.ravel(told["std"]), frames.std(axis=(0, 1, 2)), atol=0.03)
 
 
+@pytest.mark.slow
 def test_shares_make_the_same_bytes_as_one_run(seeing_run, tmp_path):
     shares = [tmp_path / f"share-{index}" for index in range(3)]
     for index, folder in enumerate(shares):
@@ -97,6 +100,7 @@ def test_shares_make_the_same_bytes_as_one_run(seeing_run, tmp_path):
     assert not (tmp_path / "other.partial").exists()
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_recording(seeing_run, tmp_path):
     def peak(episodes):
         request = Request(None, None, episodes=episodes, val_episodes=2, episodes_per_batch=8)
@@ -160,6 +164,7 @@ def unsealed(killed, tmp_path):
     return shutil.copytree(killed, tmp_path / "set.partial")
 
 
+@pytest.mark.slow
 def test_episodes_that_were_damaged_are_recorded_again(seeing_run, unsealed):
     pieces = unsealed / "pieces/train"
     names = [path.stem for path in sorted(pieces.glob("*.arrow"))]
@@ -175,6 +180,7 @@ def test_episodes_that_were_damaged_are_recorded_again(seeing_run, unsealed):
     assert_same_bytes(seeing_run, unsealed.with_name("set"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("there", ["all", "nothing but the dataset", "no seal", "a file less", "a file of nothing"])
 def test_a_run_killed_after_its_files_were_made_is_finished(seeing_run, unsealed, there):
     shutil.copytree(seeing_run, unsealed, dirs_exist_ok=True)
@@ -191,6 +197,7 @@ def test_a_run_killed_after_its_files_were_made_is_finished(seeing_run, unsealed
     assert not unsealed.exists()
 
 
+@pytest.mark.slow
 def test_a_run_killed_between_the_last_moves_is_finished(seeing_run, tmp_path, monkeypatch):
     """Into the current folder what was recorded moves one by one."""
     out, partial = tmp_path / "set", tmp_path / "set.partial"
@@ -204,6 +211,7 @@ def test_a_run_killed_between_the_last_moves_is_finished(seeing_run, tmp_path, m
     assert not partial.exists()
 
 
+@pytest.mark.slow
 def test_a_finished_run_that_was_damaged_is_not_taken_for_complete(seeing_run, tmp_path):
     out = shutil.copytree(seeing_run, tmp_path / "set")
     (out / "train/data/chunk-000/file-000.parquet").write_bytes(b"")
@@ -241,6 +249,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "-l", str(place)], check=True)  # films that were broken off may still be open
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("left", [0, 8192, 65536])
 def test_a_full_disk_is_told_and_the_run_goes_on_once_there_is_room(seeing_run, small_disk, left):
     """Whichever file is the one that does not fit."""

@@ -30,7 +30,6 @@ def flown(docking):
     return env, params, policies, keys, ports, which, episodes
 
 
-@pytest.mark.slow
 def test_an_episode_is_whole_and_says_what_it_was(flown):
     _, _, _, _, ports, which, episodes = flown
     for episode, port, choice in zip(episodes, ports, which):

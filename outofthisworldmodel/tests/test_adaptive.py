@@ -109,6 +109,7 @@ def followed(model, windows):
     )
 
 
+@pytest.mark.slow
 def test_innovations_have_unit_variance_whatever_the_vehicle(models):
     windows = flights(9, 0.3, 4).windows(HISTORY, 64, seed=2)
     late = np.asarray(followed(models["adaptive"], windows).innovation)[:, HISTORY // 2 :]
@@ -116,6 +117,7 @@ def test_innovations_have_unit_variance_whatever_the_vehicle(models):
     assert np.all((deviation > 0.7) & (deviation < 1.4)), deviation
 
 
+@pytest.mark.slow
 def test_noise_beyond_the_training_s_is_not_taken_for_the_vehicle(models):
     statistics = models["adaptive"].params.statistics
     windows = flights(9, 0.3, 0).windows(HISTORY, 64, seed=4)
@@ -128,6 +130,7 @@ def test_noise_beyond_the_training_s_is_not_taken_for_the_vehicle(models):
     assert size < 1.5, f"in deviations of the training's vehicles, where next to nothing can be known: {size:.2f}"
 
 
+@pytest.mark.slow
 def test_a_sample_is_taken_in_as_a_measurement_is_and_files_keep_it(models, tmp_path):
     model = models["adaptive"]
     windows = flights(9, 0.3, 4).windows(HISTORY, 64, seed=3)

@@ -72,6 +72,7 @@ def test_errors_and_innovations_are_as_large_as_the_filter_says(flown):
     assert (sizes[0] < sizes[1] * [0.35, 0.8, 0.9, 0.9]).all()
 
 
+@pytest.mark.slow
 def test_a_history_is_filtered_from_its_first_real_measurement(ekf, flown):
     seen, actions, beliefs, _ = jax.tree.map(lambda x: x[0], flown)
     encode = jax.jit(ekf.encode)

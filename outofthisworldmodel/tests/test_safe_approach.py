@@ -62,6 +62,7 @@ def test_a_model_flies_it_too():
     assert flown.time.max() < 300.0
 
 
+@pytest.mark.slow
 def test_pictures_show_what_safety_costs(flown):
     coasts = coasts_of(flown, load_field())
     assert coasts.clear.sum() == flown.instants_safe.sum()
@@ -78,6 +79,7 @@ def test_pictures_show_what_safety_costs(flown):
     assert fuel.get_legend() is not None
 
 
+@pytest.mark.slow
 def test_flights_of_before_have_no_such_shares(flown):
     values = {name: getattr(flown, name) for name in Flights.__dataclass_fields__}
     older = Flights(**values | dict.fromkeys(("instants_far", "instants_far_safe", "instants_avoidable")))

@@ -94,6 +94,7 @@ def test_a_run_learns_and_publishes_its_best(uninterrupted):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_sampled_rollouts_are_spread_as_the_measurements_are(uninterrupted, episodes):
     """Short as the training was: the spread neither collapses nor walks away over 32 steps."""
     windows = episodes.windows(CONFIG.model.history_length + 32, 64, seed=3)
@@ -110,10 +111,12 @@ def test_sampled_rollouts_are_spread_as_the_measurements_are(uninterrupted, epis
     assert (result.crps[:, 0] < 0.45 * point).all(), "a point forecast's would be about half of the error's norm"
 
 
+@pytest.mark.slow
 def test_one_rollout_length_compiles_once(uninterrupted):
     assert uninterrupted[2] == (1, 1)
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_returned_and_another_is_refused(uninterrupted, episodes):
     result, out, _ = uninterrupted
     again = train(CONFIG, episodes, episodes, out, console=QUIET)
@@ -134,6 +137,7 @@ def test_a_folder_of_something_else_is_no_place_to_train_in(resume, episodes, tm
     assert [path.name for path in tmp_path.rglob("*")] == ["model", "mine"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["run.json", "state"])
 def test_a_damaged_run_is_named(part, uninterrupted, episodes, tmp_path):
     out = tmp_path / "damaged"
@@ -210,6 +214,7 @@ def test_killed_and_resumed_equals_uninterrupted(uninterrupted, episodes, tmp_pa
     assert lines(out) == lines(whole)
 
 
+@pytest.mark.slow
 def test_both_kinds_of_flights_choose_the_best(uninterrupted, episodes):
     _, out, _ = uninterrupted
     sets = validation_sets(CONFIG, episodes)
@@ -223,6 +228,7 @@ def test_both_kinds_of_flights_choose_the_best(uninterrupted, episodes):
     assert episodes.flown_by(["nobody"]) is None
 
 
+@pytest.mark.slow
 def test_kept_checkpoints_are_models_to_compare(uninterrupted):
     _, out, _ = uninterrupted
     kept = sorted(int(path.name) for path in (out / "checkpoints").iterdir())
@@ -231,6 +237,7 @@ def test_kept_checkpoints_are_models_to_compare(uninterrupted):
     assert names == ["learned, step 250", "learned, step 275", "learned, step 300"]
 
 
+@pytest.mark.slow
 def test_tensorboard_reads_what_the_lines_say(uninterrupted):
     _, out, _ = uninterrupted
     (file,) = (out / "tensorboard").iterdir()
