@@ -112,6 +112,14 @@ def test_a_change_in_flight_is_found_in_seconds_and_nothing_where_there_is_none(
     assert np.mean(np.abs(share) < 3 * spread[:, None]) > 0.9
     assert np.abs(np.delete(failed.share[240:], 1, axis=1) - 1).max() < 0.2
     np.testing.assert_allclose(one_sided.share[-1, 1], [0.0, 1.0], atol=0.25)
+    # One measurement in twenty is far off: no change is seen in that, and a true one is.
+    outliers = noise * np.where(rng.uniform(size=(480, 1)) < 0.05, 20.0, 1.0)
+    sound_too, failed_too = (
+        jax.device_get(fly(np.stack(x, axis=1), outliers.astype(np.float32)))
+        for x in ((always, always), (lives, lives))
+    )
+    assert not sound_too.changed.any() and np.abs(sound_too.share[100:] - 1).max() < 0.2
+    assert failed_too.changed[-1].tolist() == [0, 1, 0, 0, 0, 0] and 160 < np.argmax(failed_too.changed[:, 1]) < 220
     works = jax.vmap(usable)
     assert np.asarray(works(sound)).all()
     for each in (failed, one_sided):

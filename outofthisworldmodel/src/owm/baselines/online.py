@@ -34,6 +34,8 @@ class Estimate(NamedTuple):
     count: Float[Array, ""]
     surprise: Float[Array, "6"]
     changed: Bool[Array, "6"]
+    astray: Float[Array, "6"]
+    """The last prediction error where it was an outlier's or the first of many, else zero."""
 
 
 _RESET = 0.1
@@ -42,6 +44,8 @@ _NOISE = 4.0
 _EXPECTED, _MOST, _ALARM = 1.6, 12.0, 45.0
 """Of the cumulative sum of squared errors over their variance: what is taken off each, the most that one counts, and
 the alarm. Errors as expected come to it about once in a million."""
+_GATE = 25.0
+"""Times what is expected: a larger squared error is not learned from unless the last was as large and of its sign."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,9 @@ class OnlineLeastSquares:
     of what the fit was at first, and forgetting leads to what is found from then on, no longer to the fit (covariance
     resetting: Goodwin and Sin (1984), Adaptive filtering, prediction and control, sec. 3.3; cumulative sum: Page
     (1954), Continuous inspection schemes, Biometrika 41).
+
+    A measurement that is far off makes two such errors of opposite signs, a change of the vehicle makes many of one. So
+    the first of them is left alone.
 
     Args:
         limit: largest action, N and N m.
@@ -84,6 +91,7 @@ class OnlineLeastSquares:
             jnp.ones((), error.dtype),
             jnp.zeros_like(error),
             jnp.zeros(6, bool),
+            jnp.zeros_like(error),
         )
 
     def learn(
@@ -104,14 +112,18 @@ class OnlineLeastSquares:
         noise = known.squares / known.count
         unsure = jax.vmap(lambda at: inputs @ jax.scipy.linalg.solve(at, inputs, assume_a="pos"))(known.information)
         expected = noise + unsure
+        far = error**2 > _GATE * expected
+        taken = ~far | (error * known.astray > 0)
         surprise = jnp.maximum(known.surprise + jnp.minimum(error**2 / expected, _MOST) - _EXPECTED, 0)
+        surprise = jnp.where(taken, surprise, known.surprise)
         alarm = surprise > _ALARM
         anyone = jnp.ones_like(prior).at[:, 7:].set(0.1)
         changed = known.changed | alarm
         anchor = jnp.where(changed[:, None], solved, start)
 
-        squares, count = keep * known.squares + jnp.minimum(error**2, _NOISE * expected), keep * known.count + 1
-        weight = count / squares
+        told = jnp.where(taken, jnp.minimum(error**2, _NOISE * expected), noise)
+        squares, count = keep * known.squares + told, keep * known.count + 1
+        weight = jnp.where(taken, count / squares, 0)
         ignorant = jax.vmap(jnp.diag)(prior)
         reset = _RESET * prior * anyone
         information = keep * known.information + (1 - keep) * ignorant
@@ -126,6 +138,7 @@ class OnlineLeastSquares:
             count,
             jnp.where(alarm, 0, surprise),
             changed,
+            jnp.where(far, error, 0),
         )
 
     def health(self, known: Estimate) -> Health:
