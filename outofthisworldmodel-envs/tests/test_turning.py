@@ -27,8 +27,8 @@ RATE = np.radians([1.5, -3.0, 2.0])
 seen = jax.jit(seen_turning)
 back = jax.jit(seen_at_rest)
 
-numbers = st.lists(st.floats(-100, 100, width=32), min_size=13, max_size=13)
-rates = st.lists(st.floats(-0.2, 0.2, width=32), min_size=3, max_size=3)
+numbers = st.lists(st.floats(-100, 100), min_size=13, max_size=13)
+rates = st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3)
 
 
 def rotation(quaternion):
@@ -40,7 +40,7 @@ def tumbling(**changes):
 
 
 @settings(max_examples=50, deadline=None)
-@given(numbers, rates, st.floats(-100, 600, width=32))
+@given(numbers, rates, st.floats(-100, 600))
 def test_there_and_back_again(view, rate, elapsed):
     view, rate = np.array(view), np.array(rate)
     view[6:10] += (np.linalg.norm(view[6:10]) < 1e-3) * np.array([1.0, 0, 0, 0])
@@ -75,6 +75,7 @@ def test_a_view_is_that_of_scipy_s_rotations(x64):
         np.testing.assert_allclose(apparent(RATE, view.position, view.velocity), change, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_dynamics_pass_the_check_of_the_house(fidelity):
     check_env(DockingEnv(tumbling(fidelity=fidelity, target={"rate_deg": (1.0, 2.0, -3.0)})))
 
@@ -89,7 +90,7 @@ def test_a_free_flyer_flies_straight_on(docking, x64):
         state, _ = step(params, state, jnp.zeros(6))
     target = Rotation.from_rotvec(20.0 * RATE)
     last = View.of(np.asarray(state.view))
-    np.testing.assert_allclose(target.apply(last.position), first.position + 20 * first.velocity, atol=1e-9)
+    np.testing.assert_allclose(target.apply(last.position.copy()), first.position + 20 * first.velocity, atol=1e-9)
 
 
 def test_starts_are_those_of_a_target_at_rest(docking, x64):
@@ -104,6 +105,7 @@ def test_starts_are_those_of_a_target_at_rest(docking, x64):
         assert 40 <= np.linalg.norm(view.position) <= 80
 
 
+@pytest.mark.slow
 def test_scalar_and_vector_show_the_same_and_measure_the_rate():
     config = tumbling(noise="cooperative", horizon=10.0)
     one, many = DockingGymEnv(config), DockingVectorEnv(2, config)
