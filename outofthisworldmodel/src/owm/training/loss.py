@@ -19,7 +19,7 @@ class Losses(NamedTuple):
     Attributes:
         flow: the head's loss on the next measurement after every measured history of the window.
         change: the stream's own loss on every measured step; zero where nothing under the network is trained.
-        decode: mean decode loss of the rolled-out predictions over all depths, in the stream's loss units.
+        decode: mean decode loss of the rolled-out predictions over the decoded depths, in the stream's loss units.
         round_trip: the same of the encoded measurements, no dynamics between; zero where nothing is encoded.
     """
 
@@ -61,6 +61,12 @@ def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
     return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
+def draw_depths(key: Key[Array, ""], depth: int, count: int | None) -> Int[Array, "S"]:
+    """Choose which steps of a rollout are decoded: `count` different ones, each set as likely, or all if None."""
+    steps = jnp.arange(depth, dtype=jnp.int32)
+    return steps if count is None else jax.random.choice(key, steps, (count,), replace=False)
+
+
 @own_promotion()
 def window_losses(
     model: LearnedWorldModel,
@@ -70,6 +76,7 @@ def window_losses(
     context: Int[Array, ""] | int,
     teacher: Float[Array, ""] | float,
     draws: Draws,
+    decoded: Int[Array, "S"],
 ) -> Losses:
     """Predict a window from its measurements, step by step, and from its own predictions after the history.
 
@@ -81,6 +88,8 @@ def window_losses(
         context: how many of the `H` measurements the model may see.
         teacher: probability, at every step by itself, of continuing from the measurement instead of the prediction.
         draws: this window's random numbers.
+        decoded: steps of the rollout, from 0, whose predictions are compared, as `draw_depths` chooses them. The mean
+            over them is an unbiased estimate of that over all.
     """
     network, statistics = params
     stream, dt, length = network.stream, model.dt, model.history_length
@@ -97,18 +106,20 @@ def window_losses(
 
     # ... and what is expected of a rollout.
     def advance(state: ModelState, step: tuple) -> tuple[ModelState, Array]:
-        coin, action, before, view = step
+        coin, action, before = step
         carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
         output, cache = model.attend(params, action, ModelState(carry, state.cache))
         carry = stream.advance(statistics, carry, network.head.mean(output), action, dt, sampled=False)
-        return ModelState(carry, cache), stream.decode_loss(statistics, carry, view)
+        return ModelState(carry, cache), carry
 
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.
     advance = jax.checkpoint(advance, prevent_cse=False)
-    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[STATE][1:]))
+    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before))
     state = model.encode(params, history_of(observation, action, length, context))
-    _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
+    _, predicted = jax.lax.scan(advance, state, (draws.coin, *rolled))
+    compared = jax.tree.map(lambda x: x[decoded], (predicted, observation[STATE][length:]))
+    decode = jax.vmap(lambda carry, view: stream.decode_loss(statistics, carry, view))(*compared)
     lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(
         measured, whole.observation[STATE]
     )
