@@ -174,7 +174,7 @@ def test_latents_do_not_collapse_in_training(statistics, episodes):
 
     def objective(network, draws):
         losses = jax.vmap(
-            lambda o, a, d: window_losses(model, Params(network, statistics), o, a, 4, 0.0, d, jnp.arange(DEPTH))
+            lambda o, a, d: window_losses(model, Params(network, statistics), o, a, 4, 0.0, d)
         )(windows.observation, windows.action, draws)  # fmt: skip
         losses = jax.tree.map(jnp.mean, losses)
         return sum(losses), losses

@@ -62,7 +62,7 @@ def window(model, episodes):
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_subset_s_loss_is_unbiased(count, model, losses, window):
     network = model.params.network
-    gradient, whole = losses(network, *window, jnp.arange(DEPTH))
+    gradient, whole = losses(network, *window, None)
     subsets = [losses(network, *window, jnp.asarray(each)) for each in combinations(range(DEPTH), count)]
     gradients, parts = (jax.tree.map(lambda *x: jnp.mean(jnp.stack(x), axis=0), *each) for each in zip(*subsets))
     assert float(jnp.ptp(jnp.stack([each.decode for _, each in subsets]))) > 1e-3 * float(whole.decode)
@@ -77,7 +77,6 @@ def test_every_set_of_steps_is_as_likely():
     sets, counts = np.unique(drawn, axis=0, return_counts=True)
     assert [tuple(each) for each in sets.tolist()] == list(combinations(range(4), 2)), "different steps"
     assert np.abs(counts - 1000).max() < 5 * (6000 * 1 / 6 * 5 / 6) ** 0.5
-    np.testing.assert_array_equal(draw_depths(keys[0], 4, None), np.arange(4))
 
 
 @pytest.mark.parametrize("count", [0, -1, 17, 10**6, True, 2.5])
@@ -149,8 +148,8 @@ def test_it_learns_from_a_batch(model, episodes):
     optimizer = optax.adam(3e-3)
 
     def objective(network, draws):
-        params, every = Params(network, model.params.statistics), jnp.arange(DEPTH)
-        found = jax.vmap(lambda o, a, d: window_losses(model, params, o, a, 4, 0.0, d, every))(
+        params = Params(network, model.params.statistics)
+        found = jax.vmap(lambda o, a, d: window_losses(model, params, o, a, 4, 0.0, d))(
             windows.observation, windows.action, draws
         )
         found = jax.tree.map(jnp.mean, found)

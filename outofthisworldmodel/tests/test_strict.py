@@ -72,7 +72,7 @@ def test_learned_models_plan_and_train(stream, backbone, jax_flags):
     def trained(params, observation, action):
         draws = draw(jax.random.key(0), 1, length - 1, DEPTH, params.network.stream, jnp.float32)
         draws = jax.tree.map(lambda x: x[0], draws)
-        return sum(window_losses(model, params, {"state": observation}, action, 2, 0.5, draws, jnp.arange(DEPTH)))
+        return sum(window_losses(model, params, {"state": observation}, action, 2, 0.5, draws))
 
     def onward(params, state, action, observation):
         sample = model.step(params, jax.random.key(0), action, state)

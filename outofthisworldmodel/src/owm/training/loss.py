@@ -1,6 +1,6 @@
 """The training objective on one window."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,10 +61,9 @@ def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
     return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
-def draw_depths(key: Key[Array, ""], depth: int, count: int | None) -> Int[Array, "S"]:
-    """Choose which steps of a rollout are decoded: `count` different ones, each set as likely, or all if None."""
-    steps = jnp.arange(depth, dtype=jnp.int32)
-    return steps if count is None else jax.random.choice(key, steps, (count,), replace=False)
+def draw_depths(key: Key[Array, ""], depth: int, count: int) -> Int[Array, "S"]:
+    """Choose which steps of a rollout are decoded: `count` different ones, each set of them as likely."""
+    return jax.random.choice(key, jnp.arange(depth, dtype=jnp.int32), (count,), replace=False)
 
 
 @own_promotion()
@@ -76,7 +75,7 @@ def window_losses(
     context: Int[Array, ""] | int,
     teacher: Float[Array, ""] | float,
     draws: Draws,
-    decoded: Int[Array, "S"],
+    decoded: Int[Array, "S"] | None = None,
 ) -> Losses:
     """Predict a window from its measurements, step by step, and from its own predictions after the history.
 
@@ -88,8 +87,8 @@ def window_losses(
         context: how many of the `H` measurements the model may see.
         teacher: probability, at every step by itself, of continuing from the measurement instead of the prediction.
         draws: this window's random numbers.
-        decoded: steps of the rollout, from 0, whose predictions are compared, as `draw_depths` chooses them. The mean
-            over them is an unbiased estimate of that over all.
+        decoded: steps of the rollout, from 0, whose predictions are compared, as `draw_depths` chooses them; None is
+            all. The mean over them is an unbiased estimate of that over all.
     """
     network, statistics = params
     stream, dt, length = network.stream, model.dt, model.history_length
@@ -105,21 +104,25 @@ def window_losses(
     flow, change = (jnp.sum(jnp.where(counts, x, 0.0)) / jnp.sum(counts) for x in (error, left))
 
     # ... and what is expected of a rollout.
-    def advance(state: ModelState, step: tuple) -> tuple[ModelState, Array]:
-        coin, action, before = step
+    def compare(carry: Any, view: Array) -> Array:
+        return stream.decode_loss(statistics, carry, view)
+
+    def advance(state: ModelState, step: tuple) -> tuple[ModelState, Any]:
+        coin, action, before, view = step
         carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
         output, cache = model.attend(params, action, ModelState(carry, state.cache))
         carry = stream.advance(statistics, carry, network.head.mean(output), action, dt, sampled=False)
-        return ModelState(carry, cache), carry
+        return ModelState(carry, cache), compare(carry, view) if decoded is None else carry
 
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.
     advance = jax.checkpoint(advance, prevent_cse=False)
-    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before))
+    rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[STATE][1:]))
     state = model.encode(params, history_of(observation, action, length, context))
-    _, predicted = jax.lax.scan(advance, state, (draws.coin, *rolled))
-    compared = jax.tree.map(lambda x: x[decoded], (predicted, observation[STATE][length:]))
-    decode = jax.vmap(lambda carry, view: stream.decode_loss(statistics, carry, view))(*compared)
+    _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
+    if decoded is not None:
+        chosen = jax.tree.map(lambda x: x[decoded], (decode, observation[STATE][length:]))
+        decode = jax.vmap(compare)(*chosen)
     lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(
         measured, whole.observation[STATE]
     )

@@ -142,7 +142,9 @@ def train_chunk(
         full = (jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0) | (not config.short_histories)
         context = jnp.where(full, history, 1 + pick(draws.context, history))
         teacher = jnp.clip(1.0 - step / max(config.teacher * config.steps, 1.0), 0.0, 1.0).astype(dtype)
-        decoded = draw_depths(jax.random.fold_in(key, 1), depth, config.decoded)
+        decoded = None
+        if config.decoded is not None:
+            decoded = draw_depths(jax.random.fold_in(key, 1), depth, config.decoded)
         gradient, losses = mean_gradient(network, statistics, rows, first, context, teacher, draws, decoded)
         updates, optimizer = make_optimizer(config).update(gradient, optimizer, network)
         return (optax.apply_updates(network, updates), optimizer), (losses, optax.tree.norm(gradient))
