@@ -44,5 +44,5 @@ def test_a_training_is_drawn_beside_what_needs_none():
         assert list(curve.get_xdata()) == [0, 20] and list(level.get_ydata()) == [1.5, 1.5]
         assert level.get_label() == "constant velocity"
     (minutes,) = losses.child_axes
-    losses.figure.canvas.draw()
+    losses.figure.draw_without_rendering()
     assert losses.get_xlim() == (0, 20) and minutes.get_xlim() == pytest.approx((0, 4))
