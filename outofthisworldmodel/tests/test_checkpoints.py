@@ -28,7 +28,15 @@ from owm.checkpoint import (
 from owm.model.config import ModelConfig
 from owm.model.streams import STREAMS
 
-KINDS = {"constant_velocity": 41, "least_squares": 59, "kinematic": 367, "adaptive": 353, "latent": 349, "ppo": 47}
+KINDS = {
+    "constant_velocity": 41,
+    "least_squares": 59,
+    "kinematic": 367,
+    "adaptive": 353,
+    "latent": 349,
+    "plain": 331,
+    "ppo": 47,
+}
 """Every so many of the campaign's cases are tried here; `tools/fuzz_checkpoints.py` tries them all."""
 
 OBSERVED = Observed(env="iss", observe_field=False, observation=["x", "y"])

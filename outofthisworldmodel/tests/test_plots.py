@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from owm.report.learning import ERRORS, learning_figure
 from owm.report.plots import calibration_figure, loss_figure
 from owm.scores.calibration import LEVELS, Calibration
 
@@ -27,3 +28,21 @@ def test_the_step_at_which_a_loss_changes_is_marked():
     assert [text.get_text() for text in training.texts] == ["teacher forcing ends"]
     assert training.lines[-1].get_xdata()[0] == training.texts[0].get_position()[0] == 2
     assert not validation.texts and len(validation.lines) == 1
+
+
+def test_a_training_is_drawn_beside_what_needs_none():
+    errors = dict.fromkeys(ERRORS, 2.0)
+    lines = [
+        {"step": 0, "seconds": 0.0} | errors,
+        {"step": 10, "seconds": 60.0, "flow_loss": 1.0, "decode_loss": 0.5, "round_trip_loss": 0.4},
+        {"step": 20, "seconds": 240.0, "flow_loss": 0.9, "decode_loss": 0.3, "round_trip_loss": 0.2} | errors,
+    ]
+    losses, *validated = learning_figure(lines, {"constant velocity": dict.fromkeys(ERRORS, 1.5)}).axes
+    assert [list(line.get_xdata()) for line in losses.lines] == [[10, 20]] * 3
+    for axes in validated:
+        curve, level = axes.lines
+        assert list(curve.get_xdata()) == [0, 20] and list(level.get_ydata()) == [1.5, 1.5]
+        assert level.get_label() == "constant velocity"
+    (minutes,) = losses.child_axes
+    losses.figure.draw_without_rendering()
+    assert losses.get_xlim() == (0, 20) and minutes.get_xlim() == pytest.approx((0, 4))

@@ -41,6 +41,7 @@ CONFIG = TrainConfig(
     learning_rate=1e-2,
     warmup=20,
     rollouts=((1.0, 6),),
+    decoded=4,
     chunk=25,
     save_every=25,
     validation_windows=32,

@@ -11,7 +11,6 @@ from owm.planning.policy import PlannerPolicy
 from owm.planning.turning import BeforeTurning, transition_at_rest
 from owm.study.conditions import condition
 from owm.study.matrix import planner_of
-from owm.testing import check_world_model
 from owm_envs.config import load_config
 from owm_envs.dynamics.turning import seen_turning
 from owm_envs.env import DockingEnv
@@ -71,10 +70,6 @@ def test_measurements_on_the_way_are_taken_in(flown):
         seen = {STATE: jnp.asarray(views[now + 1], jnp.float32)}
         state = model.observe(model.params, state, jnp.asarray(wrenches[now]), seen)
     np.testing.assert_allclose(model.decode(model.params, state)[STATE], views[20], atol=1e-4)
-
-
-def test_it_is_a_world_model(flown):
-    check_world_model(BeforeTurning(ExactDynamics("iss")))
 
 
 def test_a_transition_is_one_of_a_target_at_rest():

@@ -59,7 +59,7 @@ def make(root: Path) -> dict[str, Path]:
 
     linear = LinearMap.skeleton(np.float32)
     models: dict[str, Any] = {"constant_velocity": ConstantVelocity(), "least_squares": LeastSquares(numbers(linear))}
-    for stream, backbone in (("kinematic", "transformer"), ("adaptive", "gru"), ("latent", "mlp")):
+    for stream, backbone in (("kinematic", "transformer"), ("adaptive", "gru"), ("latent", "mlp"), ("plain", "mlp")):
         config = ModelConfig(stream=stream, backbone=backbone, **SMALL)
         network = eqx.filter_eval_shape(lambda config=config: Network(config, key=jax.random.key(0)))
         params = Params(numbers(network), numbers(STREAMS[stream].skeleton(np.float32)))

@@ -48,6 +48,7 @@ OWN = "user's own"
 GIVEN: dict[str, Given] = {
     "world model": Given(_MAP, f"{_KINEMATICS} learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "latent world model": Given(_MAP, "none: all learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
+    "plain world model": Given(_MAP, "none: all learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"),
     "latent world model, fitted map": Given(
         _MAP, "none; products of features fitted, the rest learned", _PROFILE, "no", "no", _CORRECTOR, "corpus"
     ),
@@ -128,6 +129,7 @@ _OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 _KINDS = {
     "learned": "world model",
     "latent": "latent world model",
+    "plain": "plain world model",
     "latent, fitted map": "latent world model, fitted map",
     "least_squares": "least-squares",
     "constant_velocity": "constant-velocity",
@@ -205,7 +207,10 @@ def kind_of(policy: str) -> str:
     kind = header.kind
     if kind == "ppo":
         return "ppo-field" if header.config.get("observe_field") is True else "ppo"
-    if kind == "learned" and header.config.get("stream") == "latent":
+    stream = header.config.get("stream")
+    if kind == "learned" and stream == "plain":
+        kind = "plain"
+    if kind == "learned" and stream == "latent":
         base = header.config.get("base_dynamics", header.config.get("skip", "bilinear"))  # its name in older files
         kind = "latent, fitted map" if base == "bilinear" else "latent"
     if kind not in _KINDS:

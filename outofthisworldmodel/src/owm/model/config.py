@@ -23,9 +23,9 @@ class Timing(Frozen):
 class ModelConfig(Frozen):
     """Static choices; everything that training finds lives in the parameters instead."""
 
-    stream: Literal["kinematic", "adaptive", "latent"] = "kinematic"
-    """How observations become tokens and tokens become predictions: on rigid-body kinematics, on those of a
-    vehicle found in its history, or all learned."""
+    stream: Literal["kinematic", "adaptive", "latent", "plain"] = "kinematic"
+    """How observations become tokens and tokens become predictions: on rigid-body kinematics, on those of a vehicle
+    found in its history, all learned, or all learned by perceptrons alone, as published."""
     base_dynamics: Literal["bilinear", "learned", "none"] = "bilinear"
     """What the latent stream adds to the network's prediction: a least-squares map of its features, a quadratic layer
     trained like all other weights, or nothing."""
@@ -76,7 +76,7 @@ PRESETS: dict[str, ModelConfig] = {
     "adaptive": ModelConfig(stream="adaptive", history_length=64),
     "latent": ModelConfig(stream="latent", base_dynamics="learned"),
     "paper": ModelConfig(
-        stream="latent",
+        stream="plain",
         base_dynamics="none",
         width=128,
         blocks=4,
@@ -90,7 +90,7 @@ PRESETS: dict[str, ModelConfig] = {
     ),
 }
 """Named sizes; `nano` trains on a laptop, and so do `adaptive`, for vehicles that differ, and `latent`, all learned;
-`paper` has the publication's stream, widths and denoiser, without images."""
+`paper` is the publication's model without images (docs/decisions/paper-preset.md)."""
 
 
 def preset(name: str) -> ModelConfig:

@@ -37,7 +37,9 @@ class TrainConfig(Frozen):
     devices: Size | None = None
     """Local devices that share each batch; None is all of them."""
     learning_rate: Annotated[float, within(1e-12, 10)] = 1e-3
-    """Peak of AdamW's rate; it rises linearly over `warmup` steps, then falls along a cosine to a hundredth."""
+    """Peak of AdamW's rate; it rises linearly over `warmup` steps, then falls along a cosine."""
+    final_rate: Fraction = 0.01
+    """Part of the peak that the rate falls to by the last step; at 1 it does not fall."""
     warmup: Steps = 300
     """Steps of linear warm-up."""
     weight_decay: Annotated[float, within(0, 10)] = 1e-4
@@ -50,6 +52,11 @@ class TrainConfig(Frozen):
     """Where given, in place of `teacher`: the same in epochs."""
     rollouts: tuple[tuple[Fraction, Rollout], ...] = ((0.6, 16), (1.0, 32))
     """Rollout lengths `F`, each up to a fraction of the run; a jump by more than a factor of two destabilises."""
+    decoded: Rollout | None = None
+    """Steps of each rollout whose predictions are compared with measurements, drawn anew for every batch; None is all.
+    At most as many as the shortest of `rollouts` has."""
+    short_histories: bool = True
+    """Whether every other window shows the model only a part of its history, from one measurement, as flights begin."""
     flow_weight: Weight = 1.0
     """Weight of the flow loss."""
     decode_weight: Weight = 1.0
@@ -80,6 +87,9 @@ class TrainConfig(Frozen):
         ends = [end for end, _ in self.rollouts]
         if not ends or ends != sorted(ends) or ends[-1] != 1.0:
             raise ValueError(f"rollouts must be pairs of rising fractions ending at 1.0, got {self.rollouts}")
+        shortest = min(length for _, length in self.rollouts)
+        if self.decoded is not None and self.decoded > shortest:
+            raise ValueError(f"decoded must be at most {shortest}, the shortest of rollouts, got {self.decoded}")
         return self
 
     def settled(self, windows: int, batch: int, devices: int) -> "TrainConfig":
@@ -121,7 +131,10 @@ PRESETS: dict[str, TrainConfig] = {
         teacher_epochs=4,
         batch="auto",
         precision="bfloat16",
+        final_rate=1.0,
         rollouts=((1.0, 64),),
+        decoded=16,
+        short_histories=False,
         round_trip_weight=0.0,
     ),
 }

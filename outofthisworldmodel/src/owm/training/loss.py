@@ -1,6 +1,6 @@
 """The training objective on one window."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ class Losses(NamedTuple):
     Attributes:
         flow: the head's loss on the next measurement after every measured history of the window.
         change: the stream's own loss on every measured step; zero where nothing under the network is trained.
-        decode: mean decode loss of the rolled-out predictions over all depths, in the stream's loss units.
+        decode: mean decode loss of the rolled-out predictions over the decoded depths, in the stream's loss units.
         round_trip: the same of the encoded measurements, no dynamics between; zero where nothing is encoded.
     """
 
@@ -61,6 +61,11 @@ def pick(uniform: Float[Array, "*b"], count: int) -> Int[Array, "*b"]:
     return jnp.minimum((uniform * count).astype(jnp.int32), count - 1)
 
 
+def draw_depths(key: Key[Array, ""], depth: int, count: int) -> Int[Array, "S"]:
+    """Choose which steps of a rollout are decoded: `count` different ones, each set of them as likely."""
+    return jax.random.choice(key, jnp.arange(depth, dtype=jnp.int32), (count,), replace=False)
+
+
 @own_promotion()
 def window_losses(
     model: LearnedWorldModel,
@@ -70,6 +75,7 @@ def window_losses(
     context: Int[Array, ""] | int,
     teacher: Float[Array, ""] | float,
     draws: Draws,
+    decoded: Int[Array, "S"] | None = None,
 ) -> Losses:
     """Predict a window from its measurements, step by step, and from its own predictions after the history.
 
@@ -81,6 +87,8 @@ def window_losses(
         context: how many of the `H` measurements the model may see.
         teacher: probability, at every step by itself, of continuing from the measurement instead of the prediction.
         draws: this window's random numbers.
+        decoded: steps of the rollout, from 0, whose predictions are compared, as `draw_depths` chooses them; None is
+            all. The mean over them is an unbiased estimate of that over all.
     """
     network, statistics = params
     stream, dt, length = network.stream, model.dt, model.history_length
@@ -96,12 +104,15 @@ def window_losses(
     flow, change = (jnp.sum(jnp.where(counts, x, 0.0)) / jnp.sum(counts) for x in (error, left))
 
     # ... and what is expected of a rollout.
-    def advance(state: ModelState, step: tuple) -> tuple[ModelState, Array]:
+    def compare(carry: Any, view: Array) -> Array:
+        return stream.decode_loss(statistics, carry, view)
+
+    def advance(state: ModelState, step: tuple) -> tuple[ModelState, Any]:
         coin, action, before, view = step
         carry = jax.tree.map(lambda m, p: jnp.where(coin < teacher, m, p), before, state.carry)
         output, cache = model.attend(params, action, ModelState(carry, state.cache))
         carry = stream.advance(statistics, carry, network.head.mean(output), action, dt, sampled=False)
-        return ModelState(carry, cache), stream.decode_loss(statistics, carry, view)
+        return ModelState(carry, cache), compare(carry, view) if decoded is None else carry
 
     # Recomputing a step in the backward pass costs less than storing the hundred arrays it would need, above all
     # while compiling.
@@ -109,6 +120,9 @@ def window_losses(
     rolled = jax.tree.map(lambda x: x[length - 1 :], (action, before, observation[STATE][1:]))
     state = model.encode(params, history_of(observation, action, length, context))
     _, decode = jax.lax.scan(advance, state, (draws.coin, *rolled))
+    if decoded is not None:
+        chosen = jax.tree.map(lambda x: x[decoded], (decode, observation[STATE][length:]))
+        decode = jax.vmap(compare)(*chosen)
     lost = jax.vmap(lambda carry, view: stream.round_trip_loss(statistics, carry, view))(
         measured, whole.observation[STATE]
     )

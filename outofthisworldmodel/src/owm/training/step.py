@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree, Shaped
 
 from owm.model.world_model import LearnedWorldModel, Network, Params
 from owm.training.config import TrainConfig
-from owm.training.loss import Losses, draw, pick, window_losses
+from owm.training.loss import Losses, draw, draw_depths, pick, window_losses
 
 
 class TrainState(NamedTuple):
@@ -28,10 +28,10 @@ class TrainState(NamedTuple):
 
 @lru_cache
 def make_optimizer(config: TrainConfig) -> optax.GradientTransformation:
-    """Return AdamW with warm-up, cosine decay and a bounded gradient norm."""
+    """Return AdamW with warm-up, cosine decay if any, and a bounded gradient norm."""
     warmup = min(config.warmup, max(config.steps // 2, 1))
     rate = optax.warmup_cosine_decay_schedule(
-        0.0, config.learning_rate, warmup, max(config.steps, warmup + 1), 0.01 * config.learning_rate
+        0.0, config.learning_rate, warmup, max(config.steps, warmup + 1), config.final_rate * config.learning_rate
     )
     # As one vector: the same arithmetic, but a dozen operations to compile instead of a thousand.
     return optax.flatten(
@@ -102,7 +102,7 @@ def train_chunk(
     history = model.history_length
     length = history + depth
 
-    def mean_gradient(network, statistics, rows, first, context, teacher, draws) -> tuple[Network, Losses]:
+    def mean_gradient(network, statistics, rows, first, context, teacher, draws, decoded) -> tuple[Network, Losses]:
         """Gradient and losses, averaged over the windows that start at the rows `first`."""
         observation, action = rows
         index = first[:, None] + jnp.arange(length, dtype=jnp.int32)
@@ -113,7 +113,7 @@ def train_chunk(
                 low = jax.tree.map(lambda weight: weight.astype(jnp.bfloat16), network)
                 network = eqx.tree_at(lambda tree: tree.stream, low, network.stream)
             losses = jax.vmap(
-                lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d)
+                lambda o, a, c, d: window_losses(model, Params(network, statistics), o, a, c, teacher, d, decoded)
             )(jax.tree.map(lambda part: part[index], observation), action[index[:, :-1]], context, draws)
             losses = jax.tree.map(jnp.mean, losses)
             # What `change` trains, no other term does.
@@ -127,7 +127,7 @@ def train_chunk(
         mean_gradient = jax.shard_map(
             lambda *args, local=mean_gradient: jax.lax.pmean(local(*args), "batch"),
             mesh=mesh,
-            in_specs=(whole, whole, whole, here, here, whole, here),
+            in_specs=(whole, whole, whole, here, here, whole, here, whole),
             out_specs=whole,
             check_vma=False,
         )
@@ -138,11 +138,14 @@ def train_chunk(
         key = jax.random.fold_in(jax.random.key(config.seed + 1), step)
         draws = draw(key, config.batch, length - 1, depth, network.stream, dtype)
         first = starts[pick(draws.start, starts.shape[0])]
-        # Half of all windows have the whole history, as nearly every prediction in flight does.
-        full = jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0
+        # Half of all windows at least have the whole history, as nearly every prediction in flight does.
+        full = (jnp.arange(config.batch, dtype=jnp.int32) % 2 == 0) | (not config.short_histories)
         context = jnp.where(full, history, 1 + pick(draws.context, history))
         teacher = jnp.clip(1.0 - step / max(config.teacher * config.steps, 1.0), 0.0, 1.0).astype(dtype)
-        gradient, losses = mean_gradient(network, statistics, rows, first, context, teacher, draws)
+        decoded = None
+        if config.decoded is not None:
+            decoded = draw_depths(jax.random.fold_in(key, 1), depth, config.decoded)
+        gradient, losses = mean_gradient(network, statistics, rows, first, context, teacher, draws, decoded)
         updates, optimizer = make_optimizer(config).update(gradient, optimizer, network)
         return (optax.apply_updates(network, updates), optimizer), (losses, optax.tree.norm(gradient))
 

@@ -15,6 +15,7 @@ from owm.model.config import ModelConfig
 from owm.model.streams.adaptive import ADAPTIVE
 from owm.model.streams.kinematic import KINEMATIC
 from owm.model.streams.latent import LatentStream
+from owm.model.streams.plain import PlainStream
 
 
 class Stream(Protocol):
@@ -94,5 +95,10 @@ class StreamType(Protocol):
         """Return the shapes of the statistics."""
 
 
-STREAMS: dict[str, StreamType] = {"kinematic": KINEMATIC, "adaptive": ADAPTIVE, "latent": LatentStream}
+STREAMS: dict[str, StreamType] = {
+    "kinematic": KINEMATIC,
+    "adaptive": ADAPTIVE,
+    "latent": LatentStream,
+    "plain": PlainStream,
+}
 """Streams by the name that `ModelConfig.stream` gives."""

@@ -26,6 +26,7 @@ SIZES = (3, 3, 9, 3)
 """Features of a token: position, velocity, rotation matrix, rate."""
 _FEATURES = sum(SIZES)
 _OWNER = np.repeat(np.arange(len(SIZES)), SIZES)
+_FIRST = np.cumsum((0, *SIZES[:-1]))
 _MEMBERS = np.eye(len(SIZES))[:, _OWNER]  # (4, 18): which features are a token's
 _INPUTS = 1 + _FEATURES + 6  # one, features, action
 SECONDS = 10.0
@@ -57,13 +58,31 @@ class Latent(NamedTuple):
     """Tokens, and the pose at the start of the window: position counts from there, and orbital terms depend on it."""
 
     anchor: Float[Array, "7"]
-    tokens: Float[Array, "4 d"]
+    tokens: Float[Array, "n d"]
 
 
 def features(view: Float[Array, "13"], anchor: Float[Array, "7"]) -> Float[Array, "18"]:
     """Return position from the anchor, velocity, rotation matrix (station frame) and body rate, SI."""
     position, velocity, attitude, rate = View.of(view)
     return jnp.concatenate([position - anchor[:3], velocity, rotation(attitude).reshape(9), rate])
+
+
+def to_view(features: Float[Array, "18"], anchor: Float[Array, "7"]) -> Float[Array, "13"]:
+    """Undo `features`: the quaternion is that of the nearest rotation, on the anchor's side of the sphere."""
+    q = quaternion(features[6:15].reshape(3, 3))
+    q = quat_sign(q, anchor[3:]) * q
+    return jnp.concatenate([features[:3] + anchor[:3], features[3:6], q, features[15:]])
+
+
+def rms(x: Array, axis: int | None = None) -> Float[np.ndarray, "..."]:
+    """Return the root mean square, which is never zero."""
+    return np.maximum(np.sqrt(np.mean(np.square(np.asarray(x, np.float64)), axis=axis)), 1e-9)
+
+
+def units(views: Float[Array, "N 13"]) -> Float[np.ndarray, "18"]:
+    """Return what features are counted in: the way gone in `SECONDS`, m, the speed, m/s, none, the rate, rad/s."""
+    _, velocity, _, rate = View.of(views)
+    return np.asarray([SECONDS * rms(velocity), rms(velocity), 3**-0.5, rms(rate)])[_OWNER]
 
 
 def embedding(width: int) -> Float[np.ndarray, "18 4*d"]:
@@ -124,21 +143,14 @@ class LatentStream(eqx.Module):
         """Measure the statistics on training episodes; measurements are used, not the truth."""
         before, after, action = transitions(episodes, 100_000)
         dtype = before.dtype
-
-        def rms(x: Array, axis: int | None = None) -> np.ndarray:
-            return np.maximum(np.sqrt(np.mean(np.square(np.asarray(x, np.float64)), axis=axis)), 1e-9)
-
-        _, velocity, _, rate = View.of(before)
-        speed = rms(velocity)
-        kinds = jnp.asarray([SECONDS * speed, speed, 3**-0.5, rms(rate)], dtype)
-        scale, action_scale = kinds[_OWNER], jnp.asarray(rms(action, 0), dtype)
+        scale, action_scale = jnp.asarray(units(before), dtype), jnp.asarray(rms(action, 0), dtype)
         origin = jnp.zeros(7, dtype)
         first, second = (jax.jit(jax.vmap(lambda view: features(view, origin) / scale))(x) for x in (before, after))
         transition, left = fit_bilinear_map(first, action / action_scale, second - first)
         # An isometry spreads the features of a token over all of its components.
         spread = [np.sqrt(np.maximum(_MEMBERS @ np.mean(np.square(x), axis=0), 1e-16)) for x in (left, second - first)]
         residual, change = (jnp.asarray(x, dtype) for x in spread)
-        return Statistics(kinds, jnp.asarray(transition, dtype), residual, change, action_scale)
+        return Statistics(scale[_FIRST], jnp.asarray(transition, dtype), residual, change, action_scale)
 
     @staticmethod
     def skeleton(dtype: jnp.dtype) -> Statistics:
@@ -247,10 +259,7 @@ class LatentStream(eqx.Module):
 
     def decode(self, statistics: Statistics, carry: Latent) -> dict[str, Array]:
         """Return the view, its quaternion that of the nearest rotation, on the anchor's side of the sphere."""
-        seen = self.decoded(statistics, carry)
-        q = quaternion(seen[6:15].reshape(3, 3))
-        q = quat_sign(q, carry.anchor[3:]) * q
-        return {"state": jnp.concatenate([seen[:3] + carry.anchor[:3], seen[3:6], q, seen[15:]])}
+        return {"state": to_view(self.decoded(statistics, carry), carry.anchor)}
 
     def decode_loss(self, statistics: Statistics, carry: Latent, view: Float[Array, "13"]) -> Float[Array, ""]:
         """Compare decoded features with those of the measurement."""
