@@ -110,7 +110,7 @@ def test_gradients_are_finite_at_every_height_and_place(quick, x64):
         return jnp.log(atmosphere.density_nrlmsise00(r, 60000, seconds, weather, atmosphere.STORM_TIME))
 
     def slope(r, seconds, weather, along):
-        """Along one of the twelve numbers of place and weather: all of them batched take four times as long."""
+        """Along one of the twelve numbers of place and weather: all of them batched take twice as long."""
         numbers, parts = ravel_pytree((r, weather))
         by_number = lambda numbers: log_density(parts(numbers)[0], seconds, parts(numbers)[1])
         return jax.jvp(by_number, (numbers,), (along,))[1]
