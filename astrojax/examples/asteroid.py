@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> tuple[dict[str, Flight], Fie
         distance = np.linalg.norm(flight.track, axis=1)
         print(
             f"{name:17}: {distance.min():.0f} to {distance.max():.0f} m from the centre, "
-            f"energy varies by {100 * energy:.2g} %, Jacobi constant by {jacobi:.1g}"
+            f"energy varies by {100 * energy:.1f} %, Jacobi constant by {jacobi:.1g}"
         )
     told = (seen.angle > 2.0 * math.pi) == seen.inside
     poisson = -4.0 * math.pi * GRAVITATIONAL_CONSTANT * DENSITY

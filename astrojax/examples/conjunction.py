@@ -210,7 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> tuple[list[tuple], int, int,
     for first, second, minutes, distance, speed in rows[:10]:
         print(f"{first:6d} {second:6d}  minute {minutes:7.2f}  {distance:8.1f} m  at {1e-3 * speed:6.2f} km/s")
     print(f"brute force, {options.checked} objects for 5 minutes: {checked} approaches below 200 km,")
-    print(f"of which screening misses {missed}; distances differ by at most {apart:.1f} m")
+    print(f"of which screening misses {missed}; distances differ by at most {apart:.1g} m")
     if options.out and rows:
         draw(rows, 1e3 * options.threshold, options.out / "conjunction.png")
     return rows, checked, missed, apart
