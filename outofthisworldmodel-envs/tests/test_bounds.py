@@ -15,7 +15,13 @@ from owm_envs.env import DockingEnv
 NUMBERS = list(numbers_of(DockingConfig))
 ENDLESS = ("noise", "bias", "correlation_time")  # inf is a constant bias
 BOX, POSE = [[0.0] * 3, [1.0] * 3], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
-LISTS = {("hull",): [BOX], ("obstacles",): [BOX], ("camera", "visitors"): [POSE], ("camera", "position"): [0.0] * 3}
+LISTS = {
+    ("hull",): [BOX],
+    ("obstacles",): [BOX],
+    ("target", "hold"): [0.0, -7.0, 0.0],
+    ("camera", "visitors"): [POSE],
+    ("camera", "position"): [0.0] * 3,
+}
 # One structure in which nearly every number has a say.
 ALL = load_config(
     fidelity="iss-numerical",
@@ -25,7 +31,8 @@ ALL = load_config(
     hull=[BOX],
     obstacles=[BOX],
     chaser={"thrusters": "on_off", "actuation_delay": 1, "fault": {"leak": (1.0,) * 6}},
-    randomization={"mass_scale": (0.9, 1.1), "chief_raan_deg": (0.0, 5.0)},
+    target={"rate_deg": (0.0, 0.0, 1.0)},
+    randomization={"mass_scale": (0.9, 1.1), "chief_raan_deg": (0.0, 5.0), "target_rate_deg": (0.0, 1.0)},
 )
 TABLES = ALL.model_dump()
 

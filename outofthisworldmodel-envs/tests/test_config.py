@@ -153,6 +153,8 @@ def _changed(path, value):
         return [((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))]
     if path == ("ports",):
         return ["unity_nadir"]
+    if path == ("target", "hold"):
+        return (0.0, -7.0, 0.0)
     if path == ("chief", "reference_epoch"):
         return "2027-01-01T00:00:00Z"
     if isinstance(value, bool):

@@ -269,7 +269,7 @@ class TargetConfig(Frozen):
 
     rate_deg: Annotated[tuple[TurnRate, TurnRate, TurnRate], unit("deg/s")] = (0.0, 0.0, 0.0)
     """Rate, in its own axes, at which it turns in the frame of the orbit. At an episode's start both frames agree."""
-    hold: Annotated[Vector3, unit("m")] | None = None
+    hold: Annotated[Vector3 | None, unit("m")] = None
     """Where a docking chaser holds, its nose to the origin: the goal in place of every port's. None for the ports."""
 
     @property

@@ -7,6 +7,8 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, ArrayLike, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate, quat_to_rotation_vector
+from owm_envs.config import DockingConfig
+from owm_envs.config.params import goals_of
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout
 from owm_envs.view import View
@@ -77,9 +79,16 @@ def pd_torque(
     return scale * (ATTITUDE_GAIN * error + RATE_GAIN * (rate - view.rate))
 
 
-def goal_of(
-    goals: Float[Array, "8 7"], port: Int[Array, ""], dtype: DTypeLike
-) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+Goals = tuple[tuple[float, ...], ...]
+"""Hold pose of each port: m, quaternion body to station; a static field of policies, which are compared."""
+
+
+def known_goals(config: DockingConfig) -> Goals:
+    """The hold poses of a configuration's ports."""
+    return tuple(map(tuple, goals_of(config).tolist()))
+
+
+def goal_of(goals: Goals, port: Int[Array, ""], dtype: DTypeLike) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
     """Hold position m and attitude of a port, station frame, of those of all ports."""
     goal = jnp.asarray(goals, dtype)[port]
     return goal[:3], goal[3:]

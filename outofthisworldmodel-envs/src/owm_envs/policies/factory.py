@@ -4,10 +4,9 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from owm_envs.config.params import goals_of
 from owm_envs.env import docking_env
 from owm_envs.episode import POLICY_NAMES
-from owm_envs.policies.base import ScriptedPolicy, Vehicle
+from owm_envs.policies.base import ScriptedPolicy, Vehicle, known_goals
 from owm_envs.policies.geodesic import DockGeodesicIntegralPolicy, DockGeodesicPolicy, prepared
 from owm_envs.policies.guidance import drift_beside
 from owm_envs.policies.safe import DockSafePolicy
@@ -39,7 +38,7 @@ def make_policy(name: str, env: Any, *, geodesic_field: Any = None) -> ScriptedP
     if name == "orbit":
         return OrbitPolicy(vehicle, layout=layout)
     if name == "dock":
-        return DockPolicy(vehicle, goals_of(env.config), layout=layout)
+        return DockPolicy(vehicle, known_goals(env.config), layout=layout)
     if name == "excite":
         return ExcitePolicy(vehicle, layout=layout, hold=max(1, round(2.0 / decision_dt)))
     if name == "dock-safe":

@@ -5,14 +5,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
 from owm_envs.config import DockingConfig
 from owm_envs.config.params import goals_of, hull_of
 from owm_envs.field import GeodesicField, field_rows, load_field
-from owm_envs.policies.base import Vehicle, attitude_error, goal_of, limit_norm, read_view
+from owm_envs.policies.base import Goals, Vehicle, attitude_error, goal_of, known_goals, limit_norm, read_view
 from owm_envs.policies.guidance import field_speed
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout
@@ -30,12 +29,12 @@ def field_of(config: DockingConfig) -> GeodesicField:
 
 def prepared(
     config: DockingConfig, geodesic_field: GeodesicField | None = None
-) -> tuple[GeodesicField, Int[Array, "8"], Float[np.ndarray, "8 7"]]:
+) -> tuple[GeodesicField, Int[Array, "8"], Goals]:
     """What a policy flies by: a field, `field_of` the configuration when None, its row of each port, and the goals."""
     geodesic_field = field_of(config) if geodesic_field is None else geodesic_field
-    goals = goals_of(config)
     # On the device once, not with every call: the field takes 150 MB.
-    return jax.tree.map(jnp.asarray, geodesic_field), field_rows(geodesic_field, goals), goals
+    on_device = jax.tree.map(jnp.asarray, geodesic_field)
+    return on_device, field_rows(geodesic_field, goals_of(config)), known_goals(config)
 
 
 @jax.tree_util.register_dataclass
@@ -54,8 +53,7 @@ class DockGeodesicPolicy:
     """A `GeodesicField`."""
     rows: Int[Array, "8"]
     """Its row of each port, -1 where it has none: there the action is not finite, which ends the episode."""
-    goals: Float[Array, "8 7"]
-    """Hold pose of each port: m, quaternion body to station."""
+    goals: Goals = field(metadata=_STATIC)
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic", metadata=_STATIC)
 
@@ -91,7 +89,7 @@ class DockGeodesicIntegralPolicy:
     vehicle: Vehicle
     field: Any
     rows: Int[Array, "8"]
-    goals: Float[Array, "8 7"]
+    goals: Goals = field(metadata=_STATIC)
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock-geodesic-integral", metadata=_STATIC)
 
@@ -124,7 +122,7 @@ class DockGeodesicIntegralPolicy:
 
 
 def _track(
-    geodesic_field: GeodesicField, rows: Int[Array, "8"], goals: Float[Array, "8 7"], port: Int[Array, ""], view: View
+    geodesic_field: GeodesicField, rows: Int[Array, "8"], goals: Goals, port: Int[Array, ""], view: View
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """The accelerations that lead to the field's velocity and towards the port's attitude: station, body axes."""
     speed, gradient, _ = field_speed(geodesic_field, jnp.asarray(rows)[port], view.position)

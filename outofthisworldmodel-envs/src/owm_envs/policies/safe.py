@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from owm_envs.policies.base import Vehicle, read_view
+from owm_envs.policies.base import Goals, Vehicle, read_view
 from owm_envs.policies.geodesic import body_wrench, turn_towards
 from owm_envs.policies.guidance import Goal, goal_of_turning, safe_velocity
 from owm_envs.policies.turning import push, twist
@@ -33,8 +33,7 @@ class DockSafePolicy:
     """A `GeodesicField`."""
     rows: Int[Array, "8"]
     """Its row of each port, -1 where it has none: there the action is not finite, which ends the episode."""
-    goals: Float[Array, "8 7"]
-    """Hold pose of each port: m, quaternion body to station."""
+    goals: Goals = field(metadata=_STATIC)
     drift: Float[Array, "T 3 6"]
     """From `drift_beside`."""
     layout: ObservationLayout = field(metadata=_STATIC)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from astrojax.attitude import quat_conjugate, quat_rotate
 from owm_envs.policies.base import (
+    Goals,
     Vehicle,
     attitude_error,
     goal_of,
@@ -167,8 +168,7 @@ class DockPolicy:
     """Critically damped PD straight to the port's hold pose, whatever stands in between."""
 
     vehicle: Vehicle
-    goals: Float[Array, "8 7"]
-    """Hold pose of each port: m, quaternion body to station."""
+    goals: Goals = field(metadata=_STATIC)
     layout: ObservationLayout = field(metadata=_STATIC)
     name: str = field(default="dock", metadata=_STATIC)
 

@@ -13,9 +13,8 @@ from astrojax.attitude import quat_conjugate, quat_rotate
 from astrojax.constants import GM_EARTH
 from owm.baselines.ekf import Belief, ErrorStateEKF
 from owm.planning.mpc import Corridor, Tracking, solve, tracking
-from owm_envs.config.params import goals_of
 from owm_envs.env import DockingEnv
-from owm_envs.policies.base import Vehicle, attitude_error, goal_of
+from owm_envs.policies.base import Goals, Vehicle, attitude_error, goal_of, known_goals
 from owm_envs.task.events import safe_norm
 from owm_envs.task.observation import Observation, ObservationLayout, seen_now
 from owm_envs.view import VIEW_SIZE, View
@@ -99,8 +98,7 @@ class ClassicalPolicy:
     """
 
     vehicle: Vehicle
-    goals: Float[Array, "8 7"]
-    """Hold pose of each port: m, quaternion body to station."""
+    goals: Goals = field(metadata=_STATIC)
     problem: Tracking
     params: Any
     """Of the filter."""
@@ -178,4 +176,6 @@ def classical_policy(env: DockingEnv, *, gate: float = math.inf) -> ClassicalPol
     ekf = ErrorStateEKF(config, process_noise=PROCESS_NOISE, dt=config.decision_dt, gate=gate)
     name = "ekf-mpc" if math.isinf(gate) else "ekf-mpc-gated"
     rate = (GM_EARTH / config.chief.semi_major_axis**3) ** 0.5
-    return ClassicalPolicy(vehicle, goals_of(config), tracking(rate), ekf.params, ekf=ekf, layout=env.layout, name=name)
+    return ClassicalPolicy(
+        vehicle, known_goals(config), tracking(rate), ekf.params, ekf=ekf, layout=env.layout, name=name
+    )
