@@ -121,9 +121,10 @@ def draw(see: Callable, found: list[Pass], file: Path) -> None:
     axes.set(
         theta_zero_location="N", theta_direction=-1, rlim=(0, 90), yticks=(30, 60, 80), yticklabels=("60", "30", "10")
     )
+    look = jax.jit(jax.vmap(see))
     for each in found:
         times = jnp.linspace(each.minutes[0], each.minutes[2], 200)
-        path = jax.tree.map(np.asarray, jax.jit(jax.vmap(see))(times))
+        path = jax.tree.map(np.asarray, look(times))
         lit = path.sunlit > 0.5
         height = 90.0 - np.degrees(path.elevation)
         axes.plot(path.azimuth, np.where(lit, height, np.nan), lw=2.5, color="tab:orange")
