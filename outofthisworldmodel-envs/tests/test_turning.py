@@ -85,7 +85,7 @@ def test_a_free_flyer_flies_straight_on(docking, x64):
     config = tumbling(fidelity="iss", target={"rate_deg": tuple(np.degrees(RATE))}, randomization=always)
     _, params, reset, step = docking(**dict(config))
     state, _ = reset(params, key=jax.random.key(3))
-    first = View.of(np.asarray(seen_at_rest(state.view, RATE)))
+    first = View.of(np.asarray(back(state.view, RATE)))
     for _ in range(80):
         state, _ = step(params, state, jnp.zeros(6))
     target = Rotation.from_rotvec(20.0 * RATE)
@@ -100,7 +100,7 @@ def test_starts_are_those_of_a_target_at_rest(docking, x64):
         state, _ = reset(params, key=jax.random.key(seed))
         rate = np.asarray(state.drawn.target_rate)
         assert 1 <= np.degrees(np.linalg.norm(rate)) <= 5
-        view = View.of(np.asarray(seen_at_rest(state.view, rate)))
+        view = View.of(np.asarray(back(state.view, rate)))
         assert np.linalg.norm(view.velocity) <= 0.1 and np.linalg.norm(view.rate) <= 0.01
         assert 40 <= np.linalg.norm(view.position) <= 80
 

@@ -32,8 +32,9 @@ class DockingKeywords(TypedDict, total=False):
 
     config: Any
     """A `DockingConfig`, a mapping of its fields, or the path of a TOML file."""
-    preset: Literal["data", "rl"]
+    preset: Literal["data", "rl", "tumbling"]
     noise: Literal["none", "cooperative", "noncooperative"] | Part
+    navigation: Part
     reward: Literal["data", "rl"] | Part
     ports: Sequence[str]
     observation: Literal["state", "pixels", "state+pixels"]
@@ -50,6 +51,7 @@ class DockingKeywords(TypedDict, total=False):
     reset: Part
     docking: Part
     chief: Part
+    target: Part
     chaser: Part
     camera: Part
     forces: Part
