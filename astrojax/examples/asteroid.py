@@ -1,7 +1,9 @@
 """Two orbits about a turning asteroid made of triangles: one flies with the rotation, one against it.
 
-pip install trimesh
-python astrojax/examples/asteroid.py --days 4 --out .
+    pip install trimesh
+    python astrojax/examples/asteroid.py --days 4 --out .
+
+The picture, drawn with `--out`, needs matplotlib.
 """
 
 import argparse

@@ -49,6 +49,7 @@ def main() -> None:
     for name, room in ROOMS.items():
         page = (SITE / "reference" / f"{name}.html").read_text(encoding="utf-8")
         count += len(public(room))
+        wrong += [f"{name}.html: one line of two attributes: {text}" for text in re.findall(r">(\w+,)</", page)]
         wrong += [f"{room.__name__}.{lost} is not in the reference" for lost in missing(room, page)]
         wrong += [
             f"{name}.html: as typed: {line.strip()[:100]!r}" for line in re.findall(TYPED, prose(page), re.MULTILINE)
