@@ -1,7 +1,9 @@
 """Two orbits about a turning asteroid made of triangles: one flies with the rotation, one against it.
 
-pip install trimesh
-python astrojax/examples/asteroid.py --days 4 --out .
+    pip install trimesh
+    python astrojax/examples/asteroid.py --days 4 --out .
+
+The picture, drawn with `--out`, needs matplotlib.
 """
 
 import argparse
@@ -160,8 +162,8 @@ def main(arguments: Sequence[str] | None = None) -> tuple[dict[str, Flight], Fie
         energy, jacobi = (np.ptp(x) / abs(x[0]) for x in (flight.energy, flight.jacobi))
         distance = np.linalg.norm(flight.track, axis=1)
         print(
-            f"{name:17}: {distance.min():.0f} to {distance.max():.0f} m from the centre, "
-            f"energy varies by {100 * energy:.1f} %, Jacobi constant by {jacobi:.1g}"
+            f"{name:17}: {distance.min():.0f} to {distance.max():.0f} m from the centre,\n"
+            f"  energy varies by {100 * energy:.1f} %, Jacobi constant by {jacobi:.1g}"
         )
     told = (seen.angle > 2.0 * math.pi) == seen.inside
     poisson = -4.0 * math.pi * GRAVITATIONAL_CONSTANT * DENSITY

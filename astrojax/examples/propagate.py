@@ -1,6 +1,8 @@
 """A day in low orbit: forces, steps to a tolerance, any time in between, and the node's drift against its formula.
 
-python astrojax/examples/propagate.py --hours 24 --out .
+    python astrojax/examples/propagate.py --hours 24 --out .
+
+The picture, drawn with `--out`, needs matplotlib.
 """
 
 import argparse

@@ -1,6 +1,8 @@
 """When does a satellite pass over a station, and can it be seen? SGP4, Earth orientation, Sun, shadow.
 
-python astrojax/examples/stations.py --hours 24 --out .
+    python astrojax/examples/stations.py --hours 24 --out .
+
+The picture, drawn with `--out`, needs matplotlib.
 """
 
 import argparse

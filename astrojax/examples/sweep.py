@@ -1,6 +1,8 @@
 """How far does each force move a satellite in a day? Every choice of forces at once, in one compiled program.
 
-python astrojax/examples/sweep.py --hours 24 --out .
+    python astrojax/examples/sweep.py --hours 24 --out .
+
+The picture, drawn with `--out`, needs matplotlib.
 """
 
 import argparse

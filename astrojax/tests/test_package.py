@@ -4,6 +4,7 @@ import os
 import pathlib
 import subprocess
 import sys
+import types
 from importlib import metadata
 
 import astrojax
@@ -49,3 +50,17 @@ def test_import_changes_no_jax_setting():
 def test_the_conformance_page_is_what_the_tests_say():
     script = pathlib.Path(__file__).parents[1] / "tools" / "conformance_page.py"
     subprocess.run([sys.executable, script, "--check"], check=True)
+
+
+def test_every_room_has_a_page_in_the_reference():
+    """That the page has every name of the room, `nox -s docs` looks."""
+    pages = pathlib.Path(__file__).parents[1] / "docs" / "reference"
+    shown = {line.removeprefix("::: ") for page in pages.glob("*.md") for line in page.read_text("utf-8").splitlines()}
+
+    def rooms(module):
+        for name in getattr(module, "__all__", ()):
+            if isinstance(inner := getattr(module, name), types.ModuleType):
+                yield from (inner.__name__, *rooms(inner))
+
+    found = set(rooms(astrojax))
+    assert {"astrojax.constants", "astrojax.orbits.sgp4", "astrojax.forces.atmosphere"} < found <= shown

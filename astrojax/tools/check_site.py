@@ -1,4 +1,4 @@
-"""Look over the built site: every public name is there, no docstring is left as typed, every picture is found.
+"""Look over the built site: every public name, program, output and picture is there, no docstring is left as typed.
 
     python astrojax/tools/check_site.py
 
@@ -12,7 +12,8 @@ from pathlib import Path
 
 import astrojax
 
-SITE = Path(__file__).parents[1] / "build" / "docs"
+ROOT = Path(__file__).parents[1]
+SITE = ROOT / "build" / "docs"
 ROOMS = {name: getattr(astrojax, name) for name in astrojax.__all__}
 ROOMS |= {"sgp4": astrojax.orbits.sgp4, "atmosphere": astrojax.forces.atmosphere}
 TYPED = r".*(?:`|(?:Args|Returns|Raises|Attributes|Fields):$).*"
@@ -48,15 +49,21 @@ def main() -> None:
     for name, room in ROOMS.items():
         page = (SITE / "reference" / f"{name}.html").read_text(encoding="utf-8")
         count += len(public(room))
+        wrong += [f"{name}.html: one line of two attributes: {text}" for text in re.findall(r">(\w+,)</", page)]
         wrong += [f"{room.__name__}.{lost} is not in the reference" for lost in missing(room, page)]
         wrong += [
             f"{name}.html: as typed: {line.strip()[:100]!r}" for line in re.findall(TYPED, prose(page), re.MULTILINE)
         ]
     guide = sorted((SITE / "guide").glob("*.html"))
     for file in guide:
-        pictures = re.findall(r'<img[^>]+src="(made/[^"]+)"', file.read_text(encoding="utf-8"))
+        page = file.read_text(encoding="utf-8")
+        pictures = re.findall(r'<img[^>]+src="(made/[^"]+)"', page)
         if not pictures or not all((file.parent / picture).is_file() for picture in pictures):
             wrong.append(f"{file.name}: no picture, or one that is not there")
+        shown = html.unescape(re.sub(r"<[^>]+>", "", page))
+        for source in (ROOT / "examples" / f"{file.stem}.py", ROOT / "docs" / "guide" / "made" / f"{file.stem}.txt"):
+            if source.read_text(encoding="utf-8").strip() not in shown:
+                wrong.append(f"{file.name}: does not show {source.name}")
     if wrong:
         raise SystemExit("\n".join(wrong))
     print(f"{count} public names in the reference, {len(guide)} pages in the guide")

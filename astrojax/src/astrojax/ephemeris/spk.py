@@ -29,11 +29,14 @@ class Segment:
 
     Attributes:
         coefficients: (N, components, terms) [m], for type 3 also [m/s]; of record 0 first.
-        first_day, first_seconds: start of the first record, MJD (TDB) and seconds of that day.
+        first_day: of the first record's start, MJD (TDB).
+        first_seconds: of that day [s].
         record: length of a record [s].
-        target, center: NAIF's numbers of the two bodies; static.
+        target: NAIF's number of the body; static.
+        center: NAIF's number of the body it is seen from; static.
         frame: NAIF's number of the axes, 1 for ICRF; static.
-        start, end: span that the file declares [s since J2000.0, TDB]; the records may reach farther; static.
+        start: of the span that the file declares [s since J2000.0, TDB]; the records may reach farther; static.
+        end: of that span; static.
     """
 
     coefficients: Float[Array | np.ndarray, "*B N components terms"]

@@ -32,9 +32,11 @@ class EarthOrientation(NamedTuple):
     """Earth orientation at one instant.
 
     Attributes:
-        x, y: pole of the ITRS in the TIRS [rad].
+        x: of the pole of the ITRS in the TIRS [rad].
+        y: likewise.
         ut1_minus_utc: [s].
-        dx, dy: correction of the celestial pole of IAU 2006/2000A [rad].
+        dx: correction of X of the celestial pole of IAU 2006/2000A [rad].
+        dy: that of Y.
         lod: length of day beyond 86400 s [s].
         status: 0 measured, 1 predicted, 2 before the table, 3 after it; outside the table the values are those of its
             nearest row.

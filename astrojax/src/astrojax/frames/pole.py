@@ -20,7 +20,8 @@ class CelestialPole(NamedTuple):
     """Direction of the celestial intermediate pole in GCRF, and its origin.
 
     Attributes:
-        x, y: the pole's direction cosines.
+        x: the pole's direction cosine X.
+        y: its Y.
         s: locator of the celestial intermediate origin [rad].
         status: 0, or 1 outside the span of a `PoleTable`, whose nearest end is then given.
     """

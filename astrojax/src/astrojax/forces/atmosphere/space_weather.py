@@ -46,7 +46,8 @@ class SpaceWeatherTable(NamedTuple):
 
     Attributes:
         first_day: whole MJD of the first row.
-        f107, f107a: flux of the day and its centred mean of 81 days, in tenths of 1e-22 W/m^2/Hz.
+        f107: flux of the day, in tenths of 1e-22 W/m^2/Hz.
+        f107a: its centred mean of 81 days, likewise.
         ap_daily: mean magnetic activity of the day.
         ap: magnetic activity of each three hours.
         kind: `OBSERVED`, `PREDICTED` or `MONTHLY`.
