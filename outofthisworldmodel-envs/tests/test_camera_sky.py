@@ -10,6 +10,7 @@ from astrojax.compilation import compiler_options
 from astrojax.constants import GM_EARTH, R_EARTH, R_SUN
 from astrojax.orbits import keplerian_to_cartesian
 from astrojax.time import mjd_from_calendar
+from owm_envs.camera import sky
 from owm_envs.camera.light import Heavens, heavens
 from owm_envs.camera.sky import BLOCK, load_sky, sky_radiance, splat_stars
 from owm_envs.dynamics import DYNAMICS, PhysicalState, station_orbit
@@ -306,6 +307,12 @@ def test_blocks_and_batches_change_nothing(optimised):
     both = jax.jit(jax.vmap(sky_radiance, (None, 0, None, None)), compiler_options=options)
     light = both(load_sky(), batch, rays[:64], FOOTPRINT)
     np.testing.assert_allclose(light[1], alone[:64], rtol=2e-5, atol=1e-6)
+
+
+def test_a_program_may_be_the_first_to_load_the_sky():
+    sky._load.cache_clear()
+    jax.jit(lambda gain: gain + load_sky().night_gain)(0.0)
+    assert np.isfinite(np.asarray(load_sky().surface)).all()
 
 
 @pytest.mark.slow

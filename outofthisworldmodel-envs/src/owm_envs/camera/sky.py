@@ -107,14 +107,15 @@ def _load(earth: str | None, clouds: str | None, night: str | None) -> Sky:
     with np.load(files(__package__) / "assets/stars.npz") as catalogue:
         stars, magnitude, colour = (catalogue[name] for name in ("direction", "magnitude", "colour"))
     light = 8 * 10.0 ** (-0.4 * magnitude)[:, None] * _tint(colour)
-    return Sky(
-        surface=jnp.asarray(_pyramid(np.stack(surface, -1))),
-        veil=jnp.asarray(_pyramid(np.stack(veil, -1))),
-        grain=jnp.asarray(_grain()),
-        stars=jnp.asarray(stars, jnp.float32),
-        starlight=jnp.asarray(light, jnp.float32),
-        night_gain=jnp.float32(NIGHT_GAIN),
-    )
+    with jax.ensure_compile_time_eval():  # kept for later calls, so no part of a program that asks for it first
+        return Sky(
+            surface=jnp.asarray(_pyramid(np.stack(surface, -1))),
+            veil=jnp.asarray(_pyramid(np.stack(veil, -1))),
+            grain=jnp.asarray(_grain()),
+            stars=jnp.asarray(stars, jnp.float32),
+            starlight=jnp.asarray(light, jnp.float32),
+            night_gain=jnp.float32(NIGHT_GAIN),
+        )
 
 
 def _read(path: str | None, packaged: str, colours: bool = False) -> np.ndarray:
