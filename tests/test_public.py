@@ -13,7 +13,7 @@ import owm_envs
 from owm_envs.config import CONFIG_PRESETS, NOISE_PRESETS, REWARD_PRESETS, DockingConfig, load_config
 from owm_envs.registration import IDS, Id
 
-SHORT = 360
+SHORT = 300
 """Characters that a repr may have."""
 
 

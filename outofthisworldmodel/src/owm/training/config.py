@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -91,6 +91,10 @@ class TrainConfig(Frozen):
         if self.decoded is not None and self.decoded > shortest:
             raise ValueError(f"decoded must be at most {shortest}, the shortest of rollouts, got {self.decoded}")
         return self
+
+    def __repr_args__(self) -> list[tuple[str | None, Any]]:
+        named = next((name for name, model in MODELS.items() if model == self.model), self.model)
+        return [(name, named if name == "model" else value) for name, value in super().__repr_args__()]
 
     def settled(self, windows: int, batch: int, devices: int) -> "TrainConfig":
         """Return the same run with epochs counted in steps, and batch and devices as found.
