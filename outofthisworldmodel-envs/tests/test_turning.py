@@ -125,6 +125,20 @@ def test_scalar_and_vector_show_the_same_and_measure_the_rate():
     many.close()
 
 
+def test_the_rate_is_quiet_with_the_rest(docking, x64):
+    config = tumbling(noise="cooperative", navigation={"outage_share": 0.5, "outage_duration": 1.0})
+    _, params, reset, step = docking(**dict(config))
+    state, observation = reset(params, key=jax.random.key(0))
+    held, quiet = np.asarray(observation[TARGET_RATE]), 0
+    for _ in range(40):
+        state, (observation, *_) = step(params, state, jnp.zeros(6))
+        valid, rate = bool(observation["state_valid"][0]), np.asarray(observation[TARGET_RATE])
+        assert bool(observation["target_rate_valid"][0]) == valid
+        assert np.array_equal(rate, held) != valid
+        held, quiet = rate, quiet + (not valid)
+    assert 10 < quiet < 30
+
+
 def test_one_at_rest_has_no_such_part():
     env = DockingEnv(load_config(randomization={"mass_scale": (0.9, 1.1)}))
     assert TARGET_RATE not in env.observation_parts and not env.structure.turning

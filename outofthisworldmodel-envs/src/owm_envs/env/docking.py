@@ -138,7 +138,7 @@ class DockingEnv:
         navigation = RelativeNavigation(
             structure.precision, structure.steps_per_action, structure.quiet, structure.heavy_tailed
         )
-        turning = [TargetRate()] if structure.turning else []
+        turning = [TargetRate(structure.steps_per_action, structure.quiet)] if structure.turning else []
         self.sensors = require_sensors([navigation, *turning, *_camera(self.config), *sensors])
         chaser = self.config.chaser
         self.layout = ObservationLayout(

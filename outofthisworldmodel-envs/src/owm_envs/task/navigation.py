@@ -42,10 +42,14 @@ class RelativeNavigation:
         params, stream, count = truth.params, truth.stream, truth.count
         factor = outlier_factor(params.navigation, key=stream, count=count) if self.heavy_tailed else None
         view = measure(params.noise, truth.view, truth.bias, factor, key=stream, count=count)
-        if not self.may_miss:
-            return view
-        elapsed = count * (params.dt * self.steps_per_action)
-        return Measurement(view, (count == 0) | ~is_quiet(params.navigation, elapsed, key=stream))
+        return Measurement(view, _comes(truth, self.steps_per_action)) if self.may_miss else view
+
+
+def _comes(truth: Truth, steps_per_action: int) -> Bool[Array, ""]:
+    """Whether relative navigation measures at this instant."""
+    params, count = truth.params, truth.count
+    elapsed = count * (params.dt * steps_per_action)
+    return (count == 0) | ~is_quiet(params.navigation, elapsed, key=truth.stream)
 
 
 def is_quiet(navigation: NavigationParams, elapsed: Float[Array, ""], *, key: Key[Array, ""]) -> Bool[Array, ""]:
@@ -84,18 +88,24 @@ def outlier_factor(
 
 @dataclass(frozen=True)
 class TargetRate:
-    """The rate of a target that turns, rad/s in its own axes, with the error of the chaser's own measured rate."""
+    """The rate of a target that turns, rad/s in its own axes, with the error of the chaser's own measured rate.
 
+    It is quiet when relative navigation is.
+    """
+
+    steps_per_action: int
+    may_miss: bool
+    """Whether it goes quiet."""
     name: ClassVar[str] = TARGET_RATE
     shape: ClassVar[tuple[int, ...]] = (3,)
     dtype: ClassVar[str] = "float32"
     every: ClassVar[int] = 1
-    may_miss: ClassVar[bool] = False
 
-    def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "3"]:
+    def measure(self, key: Key[Array, ""], truth: Truth) -> Float[Array, "3"] | Measurement:
         """The measured rate."""
         spread = truth.params.noise.rate.astype(jnp.float32) / np.sqrt(3, dtype=np.float32)
-        return truth.params.target_rate.astype(jnp.float32) + spread * jax.random.normal(key, (3,), jnp.float32)
+        rate = truth.params.target_rate.astype(jnp.float32) + spread * jax.random.normal(key, (3,), jnp.float32)
+        return Measurement(rate, _comes(truth, self.steps_per_action)) if self.may_miss else rate
 
 
 def start_bias(dtype: DTypeLike, *, key: Key[Array, ""]) -> Float[Array, "4 3"]:
