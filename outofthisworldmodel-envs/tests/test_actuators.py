@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
-from owm_envs.config import load_config
+from owm_envs.config import DockingConfig, load_config
 from owm_envs.config.params import params_from_config
 from owm_envs.task.actuators import actuators_at_rest, deliver
 from owm_envs.view import View
@@ -32,7 +33,8 @@ def fly():
             pulses = state.pulses
             return state, (wrench, *((pulses.level, pulses.owed) if on_off else ()))
 
-        start = actuators_at_rest(longest, on_off, False, commands.dtype)
+        structure = DockingConfig().structure._replace(longest_delay=longest, on_off=on_off)
+        start = actuators_at_rest(structure, commands.dtype)
         return jax.lax.scan(step, start, commands)[1]
 
     compiled = jax.jit(run, static_argnums=(4, 5))
@@ -128,16 +130,60 @@ FAULTS = {
 }
 
 
+def delivered_by(config, wanted):
+    """What a configuration's thrusters deliver of commands (T, 6), and the state after each."""
+
+    def step(state, command):
+        state, wrench = deliver(chaser, state, command, jnp.asarray(DT))
+        return state, (wrench, state)
+
+    with jax.enable_x64(True):
+        chaser, at_rest = params_from_config(config).chaser, actuators_at_rest(config.structure, jnp.float64)
+        return jax.device_get(jax.jit(lambda w: jax.lax.scan(step, at_rest, w)[1])(jnp.asarray(wanted)))
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_thrusters_fail_when_their_time_has_come_and_not_before(fault):
     given, left = FAULTS[fault]
     config = load_config(chaser={"thrust_scale": (0.9,) * 6, "fault": {"time": 2.0} | given})
     wanted = np.random.default_rng(0).uniform(-1, 1, (STEPS, 6)) * LIMIT
-    with jax.enable_x64(True):
-        chaser, at_rest = params_from_config(config).chaser, actuators_at_rest(0, False, True, jnp.float64)
-        run = jax.jit(lambda w: jax.lax.scan(lambda s, x: deliver(chaser, s, x, jnp.asarray(DT)), at_rest, w)[1])
-        delivered = np.asarray(run(jnp.asarray(wanted)))
+    delivered, _ = delivered_by(config, wanted)
     np.testing.assert_allclose(delivered, np.where(AFTER[:, None], left(0.9 * wanted), 0.9 * wanted), atol=1e-9)
+
+
+def test_what_swings_moves_as_two_bodies_on_a_spring_do():
+    """Against SciPy: each body by itself, in an inertial frame, with a wrench that jumps every step."""
+    flexible = {"slosh_mass": 2500.0, "slosh_damping": 0.03, "array_inertia": 30_000.0, "array_frequency": 0.4}
+    config = load_config(chaser={"flexible": flexible})
+    wanted = np.random.default_rng(0).uniform(-1, 1, (STEPS, 6)) * LIMIT
+    delivered, state = delivered_by(config, wanted)
+
+    body = np.array([config.chaser.mass] * 3 + list(config.chaser.inertia))
+    load = np.repeat([2500.0, 30_000.0], 3)
+    spring = load * (2 * np.pi * np.repeat([0.3, 0.4], 3)) ** 2
+    damper = 2 * np.repeat([0.03, 0.01], 3) * np.sqrt(spring * load)
+
+    def move(_, at, wrench):
+        (x, v), (y, w) = at.reshape(2, 2, 6)
+        pull = spring * (y - x) + damper * (w - v)
+        return np.concatenate([v, (wrench + pull) / body, w, -pull / load])
+
+    at = np.zeros(24)
+    for wrench, came, place in zip(wanted, delivered, state.swing.place, strict=True):
+        before, at = at, solve_ivp(move, (0, DT), at, args=(wrench,), rtol=1e-11, atol=1e-13).y[:, -1]
+        gained = body * (at[6:12] - before[6:12])
+        np.testing.assert_allclose(came * DT, gained, atol=1e-8 * LIMIT.max() * DT)
+        np.testing.assert_allclose(place, at[12:18] - at[:6], atol=1e-9)
+    momentum = body * at[6:12] + load * at[18:]
+    np.testing.assert_allclose(momentum, wanted.sum(axis=0) * DT, rtol=1e-9)
+
+
+def test_valves_with_hysteresis_follow_a_band_behind():
+    config = load_config(chaser={"hysteresis": 0.2})
+    wanted = np.array([0.1, 0.3, 0.9, 0.8, 0.6, 0.4, -0.1, -0.5, 0.0, 0.2])[:, None] * LIMIT
+    delivered, _ = delivered_by(config, wanted)
+    expected = [0.0, 0.1, 0.7, 0.7, 0.7, 0.6, 0.1, -0.3, -0.2, 0.0]
+    np.testing.assert_allclose(delivered, np.array(expected)[:, None] * LIMIT, atol=1e-9)
 
 
 def test_only_who_may_fail_keeps_a_clock():
@@ -156,7 +202,7 @@ def test_only_who_may_fail_keeps_a_clock():
 
 
 def test_proportional_thrusters_without_delay_keep_no_state():
-    assert sum(leaf.size for leaf in jax.tree.leaves(actuators_at_rest(0, False, False, jnp.float32))) == 0
+    assert sum(leaf.size for leaf in jax.tree.leaves(actuators_at_rest(DockingConfig().structure, jnp.float32))) == 0
 
 
 @pytest.mark.parametrize("thrusters", ["proportional", "on_off"])

@@ -30,7 +30,13 @@ ALL = load_config(
     navigation={"outage_share": 0.3, "outlier_share": 0.1},
     hull=[BOX],
     obstacles=[BOX],
-    chaser={"thrusters": "on_off", "actuation_delay": 1, "fault": {"leak": (1.0,) * 6}},
+    chaser={
+        "thrusters": "on_off",
+        "actuation_delay": 1,
+        "fault": {"leak": (1.0,) * 6},
+        "hysteresis": 0.1,
+        "flexible": {"slosh_mass": 1.0},
+    },
     target={"rate_deg": (0.0, 0.0, 1.0)},
     randomization={"mass_scale": (0.9, 1.1), "chief_raan_deg": (0.0, 5.0), "target_rate_deg": (0.0, 1.0)},
 )

@@ -22,12 +22,14 @@ def wanted():
     goal = Goal(field, np.int32(field_rows(field)[index]), pose, drift_beside(6_795_000.0))
     compiled = jax.jit(safe_velocity)
 
-    def at(along, across=0.0, **changed):
+    def at(along, across=0.0, away=False, **changed):
         position = pose[:3] + along * axes[0] + across * axes[1]
         numbers = {
             name: np.float32(value) for name, value in ({"pace": 1, "gate": -10, "steady": 1.014} | changed).items()
         }
-        velocity = compiled(goal._replace(**numbers), position.astype(np.float32), np.zeros(3, np.float32))
+        velocity = compiled(
+            goal._replace(**numbers, away=np.bool_(away)), position.astype(np.float32), np.zeros(3, np.float32)
+        )
         return axes[:2] @ np.asarray(velocity)
 
     return at
@@ -61,3 +63,10 @@ def test_far_out_it_goes_down_the_field_at_its_pace(wanted):
     sound, slow = wanted(60.0, pace=0.99, steady=6.0), wanted(60.0, **SLOW)
     np.testing.assert_allclose(slow, sound * 0.16 / 0.99, rtol=1e-4)
     assert slow[0] < -0.05
+
+
+@pytest.mark.parametrize("along", [0.0, 2.0, 20.0, 60.0, 200.0])
+def test_who_leaves_goes_straight_out_the_faster_the_farther_off(wanted, along):
+    out, across = wanted(along, away=True)
+    assert out == pytest.approx(np.clip(0.2 + 0.03 * (along + 3.75), 0.2, 1.0), abs=0.12)
+    assert abs(across) < 0.2 * out

@@ -9,6 +9,7 @@ from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_mu
 from owm.planning import facing as facings
 from owm.planning.effect import Effect, authority, effect_of, wrench_for
 from owm.planning.facing import is_crippled
+from owm.planning.health import Health, may_dock
 
 PORT = np.array([0.5, 0.5, -0.5, 0.5], np.float32)
 facing, missing_forces = jax.jit(facings.facing), jax.jit(facings.missing_forces)
@@ -98,3 +99,41 @@ def test_attitudes_are_unit_quaternions_whatever_is_known():
     assert not np.any(missing) and float(authority(nothing)) == np.inf
     away = np.asarray(quat_conjugate(jnp.asarray(PORT)))
     np.testing.assert_array_equal(facing(missing, *seen((1, 2, 3), (1, 0, 0), away), leading([1, 2, 3])), PORT)
+
+
+@pytest.mark.parametrize("left", range(3))
+def test_who_leaves_with_one_axis_turns_it_along_the_way_out(left):
+    shares = np.where(np.arange(3) == left, 1.0, 0.0)
+    missing = missing_forces(effect_with(shares, PORT), PORT)
+    wanted = np.array([0.1, -0.3, 0.2], np.float32)
+    turned = jax.jit(facings.facing_out)(missing, PORT, wanted)
+    along = np.asarray(quat_rotate(turned, jnp.eye(3)[left]))
+    assert abs(np.dot(along, wanted)) == pytest.approx(np.linalg.norm(wanted), rel=1e-4)
+    angle = 2 * np.degrees(np.arccos(min(1, abs(np.dot(turned, PORT)))))
+    assert angle < 90.01, "whichever way along the axis is nearer"
+
+
+def test_who_leaves_with_more_stays_as_it_is_turned():
+    missing = missing_forces(effect_with((1.0, 0.0, 1.0), PORT), PORT)
+    np.testing.assert_array_equal(facings.facing_out(missing, PORT, jnp.asarray([0.1, 0.0, 0.0])), PORT)
+
+
+@pytest.mark.parametrize(
+    ("shares", "docks"),
+    [
+        ({}, True),
+        ({1: 0.0}, True),
+        ({0: 0.0, 1: 0.2}, False),
+        ({3: 0.0}, False),
+        ({5: 0.3}, False),
+        ({4: 0.7}, True),  # turned by 45 deg, say
+    ],
+)
+def test_two_axes_of_force_or_one_of_torque_are_too_few(shares, docks):
+    share = np.ones((6, 2), np.float32)
+    for axis, left in shares.items():
+        share[axis, 0] = left  # pushes one way
+    found = Health(jnp.asarray(share), jnp.full(6, 0.1), jnp.zeros(6), jnp.zeros(6, bool))
+    assert may_dock(found) == docks
+    unsure = found._replace(deviation=jnp.full(6, 0.5))
+    assert may_dock(unsure), "not on a suspicion"

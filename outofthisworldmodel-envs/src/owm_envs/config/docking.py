@@ -61,6 +61,10 @@ class Structure(NamedTuple):
     """Simulation steps of commands to keep."""
     faulty: bool
     """Whether thrusters may fail in flight."""
+    sticky: bool
+    """Whether valves have hysteresis."""
+    flexible: bool
+    """Whether something swings in or on the chaser."""
     turning: bool
     """Whether the target turns in the frame of the orbit."""
     randomized: bool
@@ -230,6 +234,8 @@ class DockingConfig(Frozen):
             on_off=chaser.thrusters == "on_off",
             longest_delay=chaser.actuation_delay + ranges.actuation_delay[1],
             faulty=chaser.fault.active or ranges.faulty,
+            sticky=chaser.hysteresis > 0,
+            flexible=chaser.flexible.active,
             turning=self.target.turns or ranges.turning,
             randomized=ranges.active,
             biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),

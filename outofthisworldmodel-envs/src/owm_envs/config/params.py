@@ -35,6 +35,14 @@ class FaultParams(NamedTuple):
     misalignment: Float[Array, "3"]
 
 
+class FlexibleParams(NamedTuple):
+    """What swings along and about the body axes: kg and kg m2, rad/s, -; as in `FlexibleConfig`."""
+
+    load: Float[Array, "6"]
+    frequency: Float[Array, "6"]
+    damping: Float[Array, "6"]
+
+
 class ChaserParams(NamedTuple):
     """The chaser: kg, kg m2 about body axes, m2, m, N and N m, s, simulation steps; as in `ChaserConfig`."""
 
@@ -50,6 +58,9 @@ class ChaserParams(NamedTuple):
     """At most `Structure.longest_delay`."""
     thruster_quantum: Float[Array, "6"]
     minimum_on_time: Float[Array, ""]
+    hysteresis: Float[Array, ""]
+    flexible: FlexibleParams
+    """Unused unless `Structure.flexible`."""
     fault: FaultParams | None
     """None unless `Structure.faulty`."""
 
@@ -184,6 +195,7 @@ def params_from_config(config: DockingConfig) -> Params:
         return jnp.asarray(value, dtype)
 
     chief, chaser, noise, ranges = config.chief, config.chaser, config.noise, config.randomization
+    flexible = chaser.flexible
     ports = [port_index(name) for name in config.ports]
     padding = [ports[0]] * (config.structure.port_slots - len(ports))
     angles = np.radians([chief.inclination_deg, chief.raan_deg, chief.argument_of_perigee_deg, chief.mean_anomaly_deg])
@@ -217,6 +229,12 @@ def params_from_config(config: DockingConfig) -> Params:
             actuation_delay=jnp.asarray(chaser.actuation_delay, jnp.int32),
             thruster_quantum=real([chaser.thruster_force] * 3 + [chaser.thruster_torque] * 3),
             minimum_on_time=real(chaser.minimum_on_time),
+            hysteresis=real(chaser.hysteresis),
+            flexible=FlexibleParams(
+                load=real([flexible.slosh_mass] * 3 + [flexible.array_inertia] * 3),
+                frequency=real(2 * np.pi * np.repeat([flexible.slosh_frequency, flexible.array_frequency], 3)),
+                damping=real([flexible.slosh_damping] * 3 + [flexible.array_damping] * 3),
+            ),
             fault=None
             if not config.structure.faulty
             else FaultParams(

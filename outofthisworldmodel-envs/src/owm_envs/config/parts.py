@@ -309,6 +309,28 @@ class FaultConfig(Frozen):
         return self.model_copy(update={"time": 0.0}) != FaultConfig()
 
 
+class FlexibleConfig(Frozen):
+    """What swings in or on the chaser, beside the mass and inertia of its rigid part (`task.flexible`)."""
+
+    slosh_mass: Annotated[float, within(0, 1e6), unit("kg")] = 0.0
+    """Of fuel that sloshes along each body axis; 0 for none."""
+    slosh_frequency: Annotated[float, within(1e-3, 10), unit("Hz")] = 0.3
+    """Of the fuel in a tank held fast."""
+    slosh_damping: Annotated[float, within(0, 0.1), unit("1")] = 0.01
+    """Ratio to the critical one."""
+    array_inertia: Annotated[float, within(0, 1e7), unit("kg m2")] = 0.0
+    """Of arrays that bend about each body axis; 0 for none."""
+    array_frequency: Annotated[float, within(1e-3, 10), unit("Hz")] = 0.2
+    """Of arrays on a body held fast."""
+    array_damping: Annotated[float, within(0, 0.1), unit("1")] = 0.01
+    """Ratio to the critical one."""
+
+    @property
+    def active(self) -> bool:
+        """Whether anything swings."""
+        return self.slosh_mass > 0 or self.array_inertia > 0
+
+
 class ChaserConfig(Frozen):
     """The Dragon-class chaser and its thrusters."""
 
@@ -337,6 +359,9 @@ class ChaserConfig(Frozen):
     """Least torque of on-off thrusters about an axis."""
     minimum_on_time: Annotated[float, within(0, 1e3), unit("s")] = 0.05
     """Least length of a pulse of on-off thrusters; rounded up to whole simulation steps, at least one."""
+    hysteresis: Annotated[float, within(0, 1), unit("1")] = 0.0
+    """Of the valves: share of the limits by which a command must leave what they deliver before they follow."""
+    flexible: FlexibleConfig = FlexibleConfig()
     fault: FaultConfig = FaultConfig()
 
     @model_validator(mode="after")

@@ -47,6 +47,7 @@ class Limits(NamedTuple):
         fault = chaser.fault
         scale = max(map(abs, chaser.thrust_scale)) * max(map(abs, ranges.thrust_scale))
         scale *= max(1.0, max(map(abs, fault.thrust_scale)) * max(map(abs, ranges.fault_scale)))
+        scale *= 3.0 if chaser.flexible.active else 1.0  # what was stored comes back
         leaks = max(map(abs, fault.leak[:3])), max(map(abs, fault.leak[3:]))
         limits = chaser.force_limit, chaser.torque_limit
         force, torque = (3**0.5 * (scale * limit + leak) for limit, leak in zip(limits, leaks))

@@ -76,8 +76,7 @@ def step_errors(episodes: Iterable[Columns], config: DockingConfig) -> Float[np.
 @partial(jax.jit, static_argnames="env")
 def _steps(env, params, epoch, truth, action):
     """Where each row is after a decision with its action: a loop over the rows, as actuators remember."""
-    structure = env.structure
-    at_rest = actuators_at_rest(structure.longest_delay, structure.on_off, structure.faulty, truth.dtype)
+    at_rest = actuators_at_rest(env.structure, truth.dtype)
 
     def decide(actuators, row):
         epoch, view, wrench = row

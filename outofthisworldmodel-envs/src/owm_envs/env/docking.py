@@ -254,9 +254,7 @@ class DockingEnv:
             collided=clearance.now <= 0,
             clearance=clearance,
             closest=Closest(*error_norms(error), jnp.copy(physics.elapsed)),
-            actuators=actuators_at_rest(
-                self.structure.longest_delay, self.structure.on_off, self.structure.faulty, start.view.dtype
-            ),
+            actuators=actuators_at_rest(self.structure, start.view.dtype),
             bias=bias,
             drawn=drawn,
             looks=own_draws(self.sensors, params, key=named_key(episode_key, "looks")),

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from astrojax.attitude import quat_rotate
 from astrojax.orbits import mean_motion
@@ -34,6 +34,8 @@ _CONTACT = 0.078
 """m/s: the closing speed at contact. The docking standard asks for 0.05 to 0.10 m/s."""
 _CLOSING_TIME, _CENTRING_TIME = 13.0, 4.0
 """s, of the last leg, along and across the port's axis."""
+_LEAVING = (0.2, 0.03, 1.0)
+"""m/s at the hull, 1/s more a metre of clearance, and m/s at most: the speed of who leaves."""
 
 
 def _fan(count: int, widest: float = 1.5) -> Float[np.ndarray, "K 3"]:
@@ -59,6 +61,7 @@ class Goal(NamedTuple):
         pace: share of the usual speeds, for a vehicle that answers slowly.
         steady: m before the hold pose, from where on the closing speed is that at contact.
         gate: m before the hold pose, where to wait.
+        away: whether to leave in place of docking.
         turning: of a target that turns, from `goal_of_turning`; None for one at rest.
     """
 
@@ -69,6 +72,7 @@ class Goal(NamedTuple):
     pace: Float[Array, ""] | float = 1.0
     steady: Float[Array, ""] | float = _CONTACT * _CLOSING_TIME
     gate: Float[Array, ""] | float = -10.0
+    away: Bool[Array, ""] | bool = False
     turning: Turning | None = None
 
 
@@ -113,6 +117,7 @@ def safe_velocity(goal: Goal, position: Float[Array, "3"], velocity: Float[Array
     last 5 m lead straight down the port's axis, to a contact at 0.078 m/s; off the axis it holds back.
 
     To a target that turns the way from afar leads straight in, and all this comes on top of `velocity_apart`.
+    Who leaves goes back up the cost-to-go, the faster the farther off the hull.
 
     Chosen on the nominal starts of `owm.scores.docking.trials(per_port=6, seed=501)`.
     """
@@ -133,6 +138,8 @@ def safe_velocity(goal: Goal, position: Float[Array, "3"], velocity: Float[Array
         wanted = jnp.where(aside, across, wanted)
     last, closing = _last_leg(goal, position)
     wanted = jnp.where(last, closing, wanted)
+    leaving = jnp.clip(_LEAVING[0] + _LEAVING[1] * gap, _LEAVING[0], _LEAVING[2])
+    wanted = jnp.where(goal.away, -leaving * down, wanted)
     return jnp.where(lacking, jnp.nan, wanted if beside is None else wanted + beside)
 
 

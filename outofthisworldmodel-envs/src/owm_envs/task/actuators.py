@@ -1,5 +1,8 @@
 """What the thrusters make of a commanded wrench: late, in pulses, scaled and turned, failing in flight, as configured.
 
+Valves with hysteresis follow a command only where it leaves a band about what they deliver (the play operator:
+Visintin (1994), Differential Models of Hysteresis, sec. III.2).
+
 On-off thrusters deliver along each body axis a whole number of quanta, kept for at least the minimum on-time. Each
 axis remembers the impulse it still owes. Whenever its last pulse is over, it chooses the level that would settle the
 debt if the command stayed as it is for one pulse (first-order error feedback, as in a sigma-delta modulator), never
@@ -18,7 +21,9 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from astrojax.attitude import quat_from_rotation_vector, quat_rotate
+from owm_envs.config.docking import Structure
 from owm_envs.config.params import ChaserParams, FaultParams
+from owm_envs.task.flexible import Swing, swing
 
 
 class Pulses(NamedTuple):
@@ -41,13 +46,25 @@ class ActuatorState(NamedTuple):
     """Of on-off thrusters, None without."""
     elapsed: Float[Array, ""] | None
     """s since the episode's start; None where nothing ever fails."""
+    valves: Float[Array, "6"] | None
+    """What valves with hysteresis let through, N and N m; None without."""
+    swing: Swing | None
+    """Of what is not rigid, None without."""
 
 
-def actuators_at_rest(longest_delay: int, on_off: bool, faulty: bool, dtype: DTypeLike) -> ActuatorState:
-    """No command on its way for up to `longest_delay` simulation steps, no pulse begun."""
-    none = jnp.zeros(6, dtype)
-    pulses = Pulses(none, none, jnp.zeros(6, jnp.int32)) if on_off else None
-    return ActuatorState(jnp.zeros((longest_delay, 6), dtype), pulses, jnp.zeros((), dtype) if faulty else None)
+def actuators_at_rest(structure: Structure, dtype: DTypeLike) -> ActuatorState:
+    """No command on its way, no pulse begun, nothing that swings."""
+
+    def none():
+        return jnp.zeros(6, dtype)
+
+    return ActuatorState(
+        queue=jnp.zeros((structure.longest_delay, 6), dtype),
+        pulses=Pulses(none(), none(), jnp.zeros(6, jnp.int32)) if structure.on_off else None,
+        elapsed=jnp.zeros((), dtype) if structure.faulty else None,
+        valves=none() if structure.sticky else None,
+        swing=Swing(none(), none()) if structure.flexible else None,
+    )
 
 
 def deliver(
@@ -64,6 +81,10 @@ def deliver(
         queue = jnp.concatenate([queue, wrench[None]])
         wrench = queue[longest - jnp.clip(chaser.actuation_delay, 0, longest)]
         queue = queue[1:]
+    valves = state.valves
+    if valves is not None:
+        band = chaser.hysteresis * chaser.wrench_limit
+        wrench = valves = jnp.clip(valves, wrench - band, wrench + band)
     pulses = state.pulses
     if pulses is not None:
         pulses = _pulse(chaser, pulses, wrench, dt)
@@ -73,7 +94,11 @@ def deliver(
         # A step in which the fault sets in counts as one before it.
         delivered = jnp.where(elapsed >= chaser.fault.time, _failed(chaser.fault, delivered), delivered)
         elapsed = elapsed + dt
-    return ActuatorState(queue, pulses, elapsed), _turned(delivered, chaser.misalignment)
+    delivered, swinging = _turned(delivered, chaser.misalignment), state.swing
+    if swinging is not None:
+        swinging, pull = swing(chaser, swinging, delivered, dt)
+        delivered = delivered + pull
+    return ActuatorState(queue, pulses, elapsed, valves, swinging), delivered
 
 
 def _turned(wrench: Float[Array, "6"], by: Float[Array, "3"]) -> Float[Array, "6"]:

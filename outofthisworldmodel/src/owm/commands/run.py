@@ -206,11 +206,15 @@ def _print_health(policy: Any) -> None:
     if health is None:
         return
     rows = [
-        [str(flight + 1), *(f"{low:.2f}, {high:.2f} ± {2 * off:.2f}" for (low, high), off in zip(*pair, strict=True))]
-        for flight, pair in enumerate(zip(health.share, health.deviation, strict=True))
+        [
+            str(flight + 1),
+            *(f"{low:.2f}, {high:.2f} ± {2 * off:.2f}" for (low, high), off in zip(*pair, strict=True)),
+            "docks" if docks else "leaves",
+        ]
+        for flight, (*pair, docks) in enumerate(zip(health.share, health.deviation, policy.docks, strict=True))
     ]
     title = "share of its thrust that each axis was found to give, backwards and forwards, with 95 % intervals"
-    print_table(Table(["flight", *AXES], rows), title)
+    print_table(Table(["flight", *AXES, "in the end it"], rows), title)
 
 
 def _film(flown: Flights, config: DockingConfig, lens: "Camera", video: Path) -> None:

@@ -1,7 +1,8 @@
 """What the safe objective tracks in one replan, and around what it samples; a crippled vehicle flies by other numbers.
 
 A crippled vehicle has lost an axis of force. It flies slowly, turns so that what is left pushes where it matters
-(`owm.planning.facing`), hardly pushes while it turns, and aims straight for the goal in the end.
+(`owm.planning.facing`), hardly pushes while it turns, and aims straight for the goal in the end. One that has
+too little left leaves.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from owm.planning.config import Shape, Tuning
 from owm.planning.effect import Effect, authority, wrench_for
-from owm.planning.facing import facing, is_crippled, is_turned, missing_forces
+from owm.planning.facing import facing, facing_out, is_crippled, is_turned, missing_forces
 from owm.planning.reference import safe_reference, turning_reference
 from owm_envs.field import clearance
 from owm_envs.policies.guidance import Goal
@@ -65,6 +66,7 @@ def safe_approach(
     steps = shape.latency + shape.horizon
     path = safe_reference(goal, view, steps, dt, able)[shape.latency :]
     held = facing(missing, view, goal.pose, path)
+    held = jnp.where(goal.away, facing_out(missing, attitude, path[-1, 3:] - path[0, 3:]), held)
     turning = crippled & (jnp.abs(jnp.sum(held * attitude)) < _TURNED) & ~_leads_into_the_hull(goal, view)
     rate = jnp.where(crippled, _TURNING_RATE, tuning.weights.top_rate)
     goal = goal._replace(pose=goal.pose.at[3:].set(held))

@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool, Float
 
 from astrojax.attitude import quat_conjugate, quat_multiply, quat_rotate
 from owm.planning.effect import OUT, Effect, forces
+from owm_envs.task.events import safe_norm
 from owm_envs.view import View
 
 _TOLERATED = 0.004
@@ -77,6 +78,25 @@ def facing(
     costs = costs + jnp.stack([jnp.zeros_like(tolerated), tolerated**2])
     costs = costs * jnp.where(jnp.arange(2) == now, _STAYING, 1)
     return jnp.where(is_crippled(missing), choices[jnp.argmin(costs)], pose[3:])
+
+
+def facing_out(
+    missing: Float[Array, "3 3"], attitude: Float[Array, "4"], wanted: Float[Array, "3"]
+) -> Float[Array, "4"]:
+    """Return the attitude in which to leave: as it is, or with the one axis of force that is left along the way out.
+
+    Args:
+        missing: from `missing_forces`.
+        attitude: now.
+        wanted: change of velocity, station frame.
+    """
+    axis = quat_rotate(attitude, jnp.linalg.eigh(missing)[1][:, 0])
+    axis = jnp.where(jnp.sum(axis * wanted) < 0, -axis, axis)
+    # Twice the shortest rotation would take one to the other.
+    half = axis + wanted / jnp.maximum(safe_norm(wanted), 1e-6)
+    half = half / jnp.maximum(safe_norm(half), 1e-6)
+    turn = jnp.concatenate([jnp.sum(axis * half)[None], jnp.cross(axis, half)])
+    return jnp.where(jnp.trace(missing) > 1.5, quat_multiply(turn, attitude), attitude)
 
 
 def _tolerated(

@@ -31,6 +31,16 @@ _LEAST, _SURELY = 0.45, 0.75
 
 def usable(health: Health) -> Float[Array, "6"]:
     """Return 0 for axes of force that push one way at most, 1 for all others: they are to be left alone."""
+    return jnp.where(_out(health) & (jnp.arange(6) < 3), 0.0, 1.0).astype(health.share.dtype)
+
+
+def may_dock(health: Health) -> Bool[Array, ""]:
+    """Return whether enough is left to dock with: two axes of force, all three of torque. Else the planner leaves."""
+    out = _out(health)
+    return (jnp.sum(out[:3]) < 2) & ~jnp.any(out[3:])
+
+
+def _out(health: Health) -> Bool[Array, "6"]:
+    """Which axes push one way at most."""
     least = jnp.min(health.share, axis=-1)
-    out = (least < _LEAST) & (least + 2 * health.deviation < _SURELY) & (jnp.arange(6) < 3)
-    return jnp.where(out, 0.0, 1.0).astype(health.share.dtype)
+    return (least < _LEAST) & (least + 2 * health.deviation < _SURELY)

@@ -14,7 +14,7 @@ from astrojax.attitude import quat_sign
 from astrojax.compilation import compiler_options
 from owm.interface import History, WorldModel, check_complete
 from owm.planning.config import PlannerConfig
-from owm.planning.health import Health, usable
+from owm.planning.health import Health, may_dock, usable
 from owm.planning.mppi import PlannerState, Problem, init_planner, plan
 from owm.planning.turning import BeforeTurning, transition_at_rest
 from owm_envs.config.params import goals_of
@@ -48,7 +48,7 @@ class Learner(Protocol):
         """The parameters to plan with."""
 
     # `health(known) -> Health`, where it has one, tells what it believes of the vehicle's axes: those that are out are
-    # left alone.
+    # left alone, and if too few are left, it leaves.
 
 
 class SlotStates(NamedTuple):
@@ -145,6 +145,14 @@ class PlannerPolicy(SlotPolicy):
             return None
         with own_flags(self._wide):
             return jax.device_get(jax.vmap(self._learner.health)(self._state.known))
+
+    @property
+    def docks(self) -> Bool[np.ndarray, "B"]:
+        """Whether each slot is to dock with what is left of its axes: the safe planner leaves otherwise."""
+        health = self.health
+        if health is None:
+            return np.ones(self.num_slots, bool)
+        return np.asarray(jax.vmap(may_dock)(health))
 
     def begin(self, count: int) -> SlotStates:
         """Every slot before its first measurement; its chunk is used up."""
@@ -255,10 +263,11 @@ class PlannerPolicy(SlotPolicy):
             began = time.perf_counter()
             with own_flags(self._wide):  # of this thread
                 params, tuning = self.model.params, self._tuning
-                if self._learner is not None:
-                    params, works = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
-                    tuning = tuning._replace(limit=tuning.limit * works)
                 goal = Goal(self._field, np.int32(self._rows[port[slot]]), self._goals[port[slot]], self._drift)
+                if self._learner is not None:
+                    params, works, docks = _learned(self._learner, jax.tree.map(lambda x: x[slot], state.known))
+                    tuning = tuning._replace(limit=tuning.limit * works)
+                    goal = goal._replace(away=~docks)
                 output = replan(
                     self.model,
                     self.config.shape,
@@ -334,9 +343,11 @@ def _ahead(model, learned, params, history, wrench):
 
 @partial(jax.jit, static_argnums=0)
 def _learned(learner, known):
-    """One slot's parameters, and which axes it may use."""
-    works = usable(learner.health(known)) if hasattr(learner, "health") else np.ones(6, np.float32)
-    return learner.params(known), works
+    """One slot's parameters, which axes it may use, and whether it is to dock with them."""
+    if not hasattr(learner, "health"):
+        return learner.params(known), np.ones(6, np.float32), True
+    health = learner.health(known)
+    return learner.params(known), usable(health), may_dock(health)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -91,8 +91,8 @@ def _failing(what: str, randomization: dict[str, Any] | None = None, **fault: An
     return Condition(what, hidden=hidden)
 
 
-def _dead(axis: int) -> tuple[float, ...]:
-    return tuple(0.0 if i == axis else 1.0 for i in range(6))
+def _dead(*axes: int) -> tuple[float, ...]:
+    return tuple(0.0 if i in axes else 1.0 for i in range(6))
 
 
 def _quiet(seconds: float, share: float = 0.3) -> Condition:
@@ -164,7 +164,11 @@ CONDITIONS: dict[str, Condition] = {
         f"force {name} dead": _failing(f"no force along body {name}, from the start", thrust_scale=_dead(axis))
         for axis, name in enumerate("xyz")
     },
-    "torque z dead": _failing("no torque about the nose's axis, from the start", thrust_scale=_dead(5)),
+    **{
+        f"torque {name} dead": _failing(f"no torque about body {name}, from the start", thrust_scale=_dead(axis))
+        for axis, name in enumerate("xyz", 3)
+    },
+    "forces x and y dead": _failing("no force along body x and y, from the start", thrust_scale=_dead(0, 1)),
     "one-sided": _failing("no force along negative body y", one_sided=(0, 1, 0, 0, 0, 0)),
     "leak": _failing("a jet stuck open: 400 N along body y, 400 N m about z", leak=(0.0, 400.0, 0.0, 0.0, 0.0, 400.0)),
     "thruster fails": _failing(
