@@ -65,6 +65,15 @@ GIVEN: dict[str, Given] = {
         f"{_CORRECTOR}; action map",
         "corpus",
     ),
+    "world model, online, guarded": Given(
+        f"{_MAP}; the filter a sphere and a corridor",
+        f"{_KINEMATICS} learned, linear part fitted again in flight; Clohessy and Wiltshire's where it hands over",
+        "yes, where it hands over",
+        "yes, where it hands over",
+        "no",
+        f"{_CORRECTOR}; action map; state estimate where it hands over",
+        "corpus",
+    ),
     "world model, network zeroed": Given(
         _MAP, f"{_KINEMATICS} fitted; the network's weights are zero", _PROFILE, "no", "no", _CORRECTOR, "corpus"
     ),
@@ -116,6 +125,8 @@ NAMES = (*SCRIPTED, "ekf-mpc", "ekf-mpc-gated", "oracle-mppi", "constant-velocit
 """What `load_policy` knows beside paths."""
 ONLINE_PREFIX = "online:"
 """Before the folder of a model whose linear part is to be fitted again in flight."""
+GUARDED_PREFIX = "guarded:"
+"""Before that of a world model fitted again in flight, which hands over to `ekf-mpc` where sensors are too bad."""
 ZEROED_PREFIX = "zeroed:"
 """Before the folder of a world model whose network is to be silenced, to see what it is worth."""
 _ZEROED = {"world model": "world model, network zeroed"}
@@ -124,6 +135,7 @@ _ONLINE = {
     "world model": "world model, online",
     "world model, network zeroed": "world model, network zeroed, online",
 }
+_GUARDED = {"world model": "world model, online, guarded"}
 _OWN = re.compile(r"(?P<module>[A-Za-z_][\w.]*):(?P<name>[A-Za-z_]\w*)")
 """A user's class, `module:Class`."""
 _KINDS = {
@@ -176,7 +188,7 @@ def _own_policy(policy: str, **told: Any) -> Any:
 
 def is_planned(kind: str) -> bool:
     """Whether a kind of policy is a world model in the planner."""
-    return kind in ("oracle-mppi", *_ONLINE.values(), *_ZEROED.values(), *_KINDS.values())
+    return kind in ("oracle-mppi", *_ONLINE.values(), *_GUARDED.values(), *_ZEROED.values(), *_KINDS.values())
 
 
 def kind_of(policy: str) -> str:
@@ -194,6 +206,7 @@ def kind_of(policy: str) -> str:
     for prefix, kinds, needed in (
         (ONLINE_PREFIX, _ONLINE, "a model with a linear part"),
         (ZEROED_PREFIX, _ZEROED, "a model with a network over a fitted part"),
+        (GUARDED_PREFIX, _GUARDED, "a model with a network over a fitted part"),
     ):
         if policy.startswith(prefix):
             start = kind_of(policy.removeprefix(prefix))
@@ -219,8 +232,8 @@ def kind_of(policy: str) -> str:
 
 
 def _folder(policy: str) -> str:
-    """The path in a policy's name: all of it, or what stands after "online:", "zeroed:" or "online:zeroed:"."""
-    return policy.removeprefix(ONLINE_PREFIX).removeprefix(ZEROED_PREFIX)
+    """The path in a policy's name, without "guarded:", "online:", "zeroed:" or "online:zeroed:"."""
+    return policy.removeprefix(GUARDED_PREFIX).removeprefix(ONLINE_PREFIX).removeprefix(ZEROED_PREFIX)
 
 
 def checkpoint_folder(path: str) -> Path:
@@ -252,7 +265,8 @@ def load_policy(
     Args:
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
             to fly; `online:FOLDER` fits the linear part of either again in flight; `zeroed:FOLDER` flies a world model
-            whose network says nothing, `online:zeroed:FOLDER` both; `module:Class` is a class of your own, made with
+            whose network says nothing, `online:zeroed:FOLDER` both; `guarded:FOLDER` is `online:FOLDER` that hands over
+            to `ekf-mpc` where measurements are too bad for it; `module:Class` is a class of your own, made with
             those of `config`, `num_slots` and `seed` that it takes.
         config: the environment to fly.
         num_slots: flights side by side.
@@ -301,13 +315,18 @@ def load_policy(
     from owm.planning.policy import PlannerPolicy
 
     model, learner = load_model(policy, config), None
-    if kind in _ONLINE.values():
+    if kind in (*_ONLINE.values(), *_GUARDED.values()):
         from owm.baselines.online import OnlineBase, OnlineLeastSquares
 
         learner = OnlineLeastSquares(env.layout.wrench_limit, model.dt)
         if kind != _ONLINE["least-squares"]:
             learner = OnlineBase(learner)
     made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
+    if kind in _GUARDED.values():
+        from owm.baselines.classical import classical_policy
+        from owm.baselines.guarded import GuardedPolicy
+
+        made = GuardedPolicy(made, VectorPolicy(classical_policy(env), seed=seed))
     made.name = name
     return made
 

@@ -209,9 +209,9 @@ def _print_health(policy: Any) -> None:
         [
             str(flight + 1),
             *(f"{low:.2f}, {high:.2f} ± {2 * off:.2f}" for (low, high), off in zip(*pair, strict=True)),
-            "docks" if docks else "leaves",
+            verdict,
         ]
-        for flight, (*pair, docks) in enumerate(zip(health.share, health.deviation, policy.docks, strict=True))
+        for flight, (*pair, verdict) in enumerate(zip(health.share, health.deviation, policy.verdict, strict=True))
     ]
     title = "share of its thrust that each axis was found to give, backwards and forwards, with 95 % intervals"
     print_table(Table(["flight", *AXES, "in the end it"], rows), title)

@@ -141,18 +141,26 @@ class PlannerPolicy(SlotPolicy):
     @property
     def health(self) -> Health | None:
         """What has been found of each slot's axes; None without a learner that says so, or before the first flight."""
-        if not hasattr(self._learner, "health") or self._state is None:
-            return None
-        with own_flags(self._wide):
-            return jax.device_get(jax.vmap(self._learner.health)(self._state.known))
+        return None if self._state is None else self.health_of(self._state)
 
     @property
-    def docks(self) -> Bool[np.ndarray, "B"]:
-        """Whether each slot is to dock with what is left of its axes: the safe planner leaves otherwise."""
-        health = self.health
+    def verdict(self) -> list[str]:
+        """What each slot does with what is left of its axes: "docks", or "leaves" if the safe planner flies it."""
+        return self.verdict_of(self._state)
+
+    def health_of(self, state: SlotStates) -> Health | None:
+        """What a state says of each slot's axes; None without a learner that says so."""
+        if not hasattr(self._learner, "health"):
+            return None
+        with own_flags(self._wide):
+            return jax.device_get(_healths(self._learner, state.known))
+
+    def verdict_of(self, state: SlotStates) -> list[str]:
+        """As `verdict`, of a state."""
+        health = self.health_of(state)
         if health is None:
-            return np.ones(self.num_slots, bool)
-        return np.asarray(jax.vmap(may_dock)(health))
+            return ["docks"] * len(state.index)
+        return ["docks" if docks else "leaves" for docks in jax.vmap(may_dock)(health).tolist()]
 
     def begin(self, count: int) -> SlotStates:
         """Every slot before its first measurement; its chunk is used up."""
@@ -339,6 +347,12 @@ def _ahead(model, learned, params, history, wrench):
         return model.decode(params, model.step(params, None, wrench, model.encode(params, history)))[STATE]
 
     return jax.vmap(one, (0 if learned else None, 0, 0))(params, history, wrench)
+
+
+@partial(jax.jit, static_argnums=0)
+def _healths(learner, known):
+    """What is believed of every slot's axes."""
+    return jax.vmap(learner.health)(known)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -91,6 +91,10 @@ def _failing(what: str, randomization: dict[str, Any] | None = None, **fault: An
     return Condition(what, hidden=hidden)
 
 
+def _swinging(what: str, **values: Any) -> Condition:
+    return Condition(what, hidden={"chaser": {"flexible": values}})
+
+
 def _dead(*axes: int) -> tuple[float, ...]:
     return tuple(0.0 if i in axes else 1.0 for i in range(6))
 
@@ -121,6 +125,11 @@ CONDITIONS: dict[str, Condition] = {
     "nominal": Condition("cooperative noise, starts 100–225 m out"),
     "near": Condition("starts 100–125 m out, the paper's shell for reinforcement learning", shell="100-125"),
     "noncooperative": Condition("noncooperative noise: 1 % of range, 0.03 m/s", noise="noncooperative"),
+    "ten times noncooperative": Condition(
+        "ten times the noncooperative noise: 10 % of range, 0.3 m/s; policies know of a tenth",
+        noise="noncooperative",
+        hidden={"noise": {"position_per_range": 0.1, "velocity": 0.3}},
+    ),
     "heavy": _chaser("mass +25 %", mass=1.25 * _CHASER.mass),
     "light": _chaser("mass −25 %", mass=0.75 * _CHASER.mass),
     "more inertia": _chaser("inertia +20 % about all axes", inertia=_scaled(1.2)),
@@ -169,6 +178,7 @@ CONDITIONS: dict[str, Condition] = {
         for axis, name in enumerate("xyz", 3)
     },
     "forces x and y dead": _failing("no force along body x and y, from the start", thrust_scale=_dead(0, 1)),
+    "torque x fails": _failing("no torque about body x from 120 s on", time=120.0, thrust_scale=_dead(3)),
     "one-sided": _failing("no force along negative body y", one_sided=(0, 1, 0, 0, 0, 0)),
     "leak": _failing("a jet stuck open: 400 N along body y, 400 N m about z", leak=(0.0, 400.0, 0.0, 0.0, 0.0, 400.0)),
     "thruster fails": _failing(
@@ -179,6 +189,11 @@ CONDITIONS: dict[str, Condition] = {
         "20 to 90 s into the flight thrust and torque turn by 10 to 45 deg",
         {"fault_time": (20.0, 90.0), "fault_misalignment_deg": (10.0, 45.0)},
     ),
+    "fuel sloshes": _swinging("2.4 t of fuel that sloshes at 0.3 Hz", slosh_mass=2400.0),
+    "arrays bend": _swinging(
+        "arrays of 20,000 kg m2 that bend at 0.1 Hz", array_inertia=20_000.0, array_frequency=0.1, array_damping=0.005
+    ),
+    "valves stick": _chaser("valves with a hysteresis of 10 % of the limits", hysteresis=0.1),
     "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
 }
 CONDITIONS |= {
