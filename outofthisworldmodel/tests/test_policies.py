@@ -221,6 +221,7 @@ def test_online_models_are_named_by_what_they_start_from(fit, world_model, tmp_p
     save_world_model(world_model, tmp_path / "learned")
     assert kind_of(f"online:{tmp_path / 'fit'}") == "least-squares-online" in GIVEN
     assert kind_of(f"online:{tmp_path / 'learned'}") == "world model, online" in GIVEN
+    assert kind_of(f"guarded:{tmp_path / 'learned'}") == "world model, online, guarded" in GIVEN
     both = f"online:zeroed:{tmp_path / 'learned'}"
     assert kind_of(both) == "world model, network zeroed, online" in GIVEN and is_planned(kind_of(both))
     assert content_digest(both) not in (

@@ -17,6 +17,7 @@ from owm.scores.flights import (
     within_contact_limits,
 )
 from owm.study.matrix import planner_of
+from owm_envs.config import load_config
 from owm_envs.field import load_field
 from owm_envs.policies import VectorPolicy, make_policy
 
@@ -60,6 +61,20 @@ def test_a_model_flies_it_too():
     assert far_safe_share(flown) > 0.97
     assert avoidable_share(flown) > 0.9
     assert flown.time.max() < 300.0
+
+
+@pytest.mark.slow
+def test_who_cannot_turn_leaves():
+    """Without torque about the nose, two minutes of it: found out in the first, and from then on it goes away."""
+    config = evaluation_config(fidelity="iss-hcw", horizon=120.0)
+    flown_in = load_config(config, chaser={"fault": {"thrust_scale": (1, 1, 1, 1, 1, 0)}})
+    seeds, ports = trials(["harmony_forward"], per_port=1, seed=77)
+    planner = planner_of("safe").model_copy(update={"candidates": 32})
+    policy = load_policy("guarded:pretrained", config, len(seeds), planner=planner)
+    flown = fly_episodes(policy, flown_in, seeds, ports)
+    away = np.linalg.norm(flown.trajectory[0, :, :3], axis=1)
+    assert policy.verdict == ["leaves"] and policy.health.share[0, 5].max() < 0.45
+    assert not flown.collided.any() and (np.diff(away[-160:]) > 0).all()
 
 
 @pytest.mark.slow
