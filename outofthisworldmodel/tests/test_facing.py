@@ -133,7 +133,7 @@ def test_two_axes_of_force_or_one_of_torque_are_too_few(shares, docks):
     share = np.ones((6, 2), np.float32)
     for axis, left in shares.items():
         share[axis, 0] = left  # pushes one way
-    found = Health(jnp.asarray(share), jnp.full(6, 0.1), jnp.zeros(6), jnp.zeros(6, bool))
+    found = Health(jnp.asarray(share), jnp.full(6, 0.1), jnp.zeros(6), jnp.zeros(6))
     assert may_dock(found) == docks
     unsure = found._replace(deviation=jnp.full(6, 0.5))
     assert may_dock(unsure), "not on a suspicion"

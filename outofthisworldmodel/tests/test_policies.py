@@ -103,9 +103,9 @@ def test_a_change_in_flight_is_found_in_seconds_and_nothing_where_there_is_none(
         jax.device_get(fly(np.stack(x, axis=1), noise.astype(np.float32)))
         for x in ((lives, lives), (lives, always), (always, always))
     )
-    assert not sound.changed.any() and np.abs(sound.share[100:] - 1).max() < 0.2
-    assert not failed.changed[:160].any() and failed.changed[160:].any(axis=0).tolist() == [0, 1, 0, 0, 0, 0]
-    found = np.argmax(failed.changed[:, 1])
+    assert not (sound.alarms > 0).any() and np.abs(sound.share[100:] - 1).max() < 0.2
+    assert not (failed.alarms > 0)[:160].any() and (failed.alarms > 0)[160:].any(axis=0).tolist() == [0, 1, 0, 0, 0, 0]
+    found = np.argmax((failed.alarms > 0)[:, 1])
     assert 160 < found < 200, "within ten seconds, of commands up to three tenths"
     share, spread = failed.share[found + 20 :, 1], failed.deviation[found + 20 :, 1]
     assert np.abs(share).max() < 0.5 and np.abs(share[60:]).max() < 0.2
@@ -118,8 +118,11 @@ def test_a_change_in_flight_is_found_in_seconds_and_nothing_where_there_is_none(
         jax.device_get(fly(np.stack(x, axis=1), outliers.astype(np.float32)))
         for x in ((always, always), (lives, lives))
     )
-    assert not sound_too.changed.any() and np.abs(sound_too.share[100:] - 1).max() < 0.2
-    assert failed_too.changed[-1].tolist() == [0, 1, 0, 0, 0, 0] and 160 < np.argmax(failed_too.changed[:, 1]) < 220
+    assert not (sound_too.alarms > 0).any() and np.abs(sound_too.share[100:] - 1).max() < 0.2
+    assert (failed_too.alarms > 0)[-1].tolist() == [0, 1, 0, 0, 0, 0] and 160 < np.argmax(
+        (failed_too.alarms > 0)[:, 1]
+    ) < 220
+    assert failed.alarms.max() == failed_too.alarms.max() == 1, "once is enough"
     works = jax.vmap(usable)
     assert np.asarray(works(sound)).all()
     for each in (failed, one_sided):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from owm.model.world_model import Params
 from owm.motion.kinematics import increments, to_motion
@@ -24,16 +24,16 @@ class Estimate(NamedTuple):
         squares: sum of squared prediction errors of each output, forgotten alike, and how many that are.
         count: see `squares`.
         surprise: by how much prediction errors have lately been larger than expected (a cumulative sum).
-        changed: whether that ever gave an alarm: the vehicle is not the one that was fitted.
+        alarms: how often that gave an alarm: the vehicle is not the one that was fitted.
     """
 
     linear: LinearMap
     information: Float[Array, "6 13 13"]
     moment: Float[Array, "6 13"]
     squares: Float[Array, "6"]
-    count: Float[Array, ""]
+    count: Float[Array, "6"]
     surprise: Float[Array, "6"]
-    changed: Bool[Array, "6"]
+    alarms: Float[Array, "6"]
     astray: Float[Array, "6"]
     """The last prediction error where it was an outlier's or the first of many, else zero."""
 
@@ -44,6 +44,8 @@ _NOISE = 4.0
 _EXPECTED, _MOST, _ALARM = 1.6, 12.0, 45.0
 """Of the cumulative sum of squared errors over their variance: what is taken off each, the most that one counts, and
 the alarm. Errors as expected come to it about once in a million."""
+_HARDER, _NOISE_MEMORY = 4.0, 0.98
+"""Times a threshold that the next alarm takes, and the share of known noise that outlives a step once there was one."""
 _GATE = 25.0
 """Times what is expected: a larger squared error is not learned from unless the last was as large and of its sign."""
 
@@ -60,6 +62,9 @@ class OnlineLeastSquares:
     of what the fit was at first, and forgetting leads to what is found from then on, no longer to the fit (covariance
     resetting: Goodwin and Sin (1984), Adaptive filtering, prediction and control, sec. 3.3; cumulative sum: Page
     (1954), Continuous inspection schemes, Biometrika 41).
+
+    An alarm that comes again shows errors that no such map explains: fuel that sloshes, arrays that bend. Each alarm
+    makes the next one harder to come by, and from the first one on all errors count as noise, and weigh the less.
 
     A measurement that is far off makes two such errors of opposite signs, a change of the vehicle makes many of one. So
     the first of them is left alone.
@@ -88,9 +93,9 @@ class OnlineLeastSquares:
             information,
             prior * coefficients,
             error**2,
-            jnp.ones((), error.dtype),
+            jnp.ones_like(error),
             jnp.zeros_like(error),
-            jnp.zeros(6, bool),
+            jnp.zeros_like(error),
             jnp.zeros_like(error),
         )
 
@@ -116,13 +121,15 @@ class OnlineLeastSquares:
         taken = ~far | (error * known.astray > 0)
         surprise = jnp.maximum(known.surprise + jnp.minimum(error**2 / expected, _MOST) - _EXPECTED, 0)
         surprise = jnp.where(taken, surprise, known.surprise)
-        alarm = surprise > _ALARM
+        alarm = surprise > _ALARM * _HARDER**known.alarms
         anyone = jnp.ones_like(prior).at[:, 7:].set(0.1)
-        changed = known.changed | alarm
+        changed = (known.alarms > 0) | alarm
         anchor = jnp.where(changed[:, None], solved, start)
 
-        told = jnp.where(taken, jnp.minimum(error**2, _NOISE * expected), noise)
-        squares, count = keep * known.squares + told, keep * known.count + 1
+        told = jnp.where(changed, error**2, jnp.minimum(error**2, _NOISE * expected))
+        told = jnp.where(taken, told, noise)
+        keep_noise = jnp.where(changed, _NOISE_MEMORY, keep)
+        squares, count = keep_noise * known.squares + told, keep_noise * known.count + 1
         weight = jnp.where(taken, count / squares, 0)
         ignorant = jax.vmap(jnp.diag)(prior)
         reset = _RESET * prior * anyone
@@ -137,7 +144,7 @@ class OnlineLeastSquares:
             squares,
             count,
             jnp.where(alarm, 0, surprise),
-            changed,
+            known.alarms + alarm,
             jnp.where(far, error, 0),
         )
 
@@ -151,7 +158,7 @@ class OnlineLeastSquares:
             jnp.stack([share - uneven, share + uneven], axis=1),
             jnp.sqrt(jnp.diag(variance[:, :6]) + jnp.diag(variance[:, 7:])) / jnp.abs(sound),
             (solved[:, 6] - start[:, 6]) / self.dt,
-            known.changed,
+            known.alarms,
         )
 
     def params(self, known: Estimate) -> LinearMap:

@@ -16,13 +16,13 @@ class Health(NamedTuple):
             a sound one, 0 of a dead one.
         deviation: of that, one standard deviation.
         leak: acceleration that acts whatever is commanded, beyond the fit's: m/s2 and rad/s2, body axes.
-        changed: whether the errors of its prediction showed a change in flight, by component of the leak.
+        alarms: how often the errors of its prediction showed a change in flight, by component of the leak.
     """
 
     share: Float[Array, "6 2"]
     deviation: Float[Array, "6"]
     leak: Float[Array, "6"]
-    changed: Bool[Array, "6"]
+    alarms: Float[Array, "6"]
 
 
 _LEAST, _SURELY = 0.45, 0.75
