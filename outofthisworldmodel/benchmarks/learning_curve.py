@@ -58,9 +58,9 @@ def main() -> None:
     at = clock(options.run / "tensorboard")
     lines = []
     for text in (options.run / "metrics.jsonl").read_text(encoding="utf-8").splitlines():
-        line = {
-            key.removeprefix("behaviour/"): value for key, value in json.loads(text).items() if key != "behaviour/score"
-        }
+        line = told(json.loads(text))
+        if line["step"] not in at:  # a run that was stopped has not told TensorBoard of its last steps
+            continue
         seen = line["step"] * claim["settled"]["batch"]
         lines.append(line | {"windows": seen, "epochs": seen / windows, "seconds": at[line["step"]]})
     sets = {"behaviour": validation_sets(config, val)["behaviour"]}

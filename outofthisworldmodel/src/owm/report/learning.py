@@ -49,6 +49,8 @@ def learning_figure(
         top = axes.secondary_xaxis(
             "top", functions=(lambda x: np.interp(x, steps, minutes), lambda x: np.interp(x, minutes, steps))
         )
+        whole = np.arange(0.0, minutes[-1], max(1, round(minutes[-1] / 5)))
+        top.set_xticks(whole, [f"{minute:g}" for minute in whole])
         top.set_xlabel("minutes", fontsize=8, color=INK)
         top.tick_params(labelsize=8, colors=INK)
         top.spines["top"].set_color(FAINT)
