@@ -1,9 +1,9 @@
 """Learn by sight to look at the station, with Stable-Baselines3 PPO, in minutes: `python examples/pixels_sb3.py`.
 
-The chaser coasts 150 to 200 m off, its nose up to 30 deg beside the station. Once a second the policy says how fast to
-pitch and yaw; the vehicle's gyros see to it. The reward is the angle from the nose to the station, negated; it is told
-by the state, which a `CnnPolicy` does not see. `--observation state+pixels` shows a `MultiInputPolicy` both. Frames are
-small, so that two cores suffice.
+The chaser coasts 100 to 140 m off, its nose up to 30 deg beside the station, by day and under a black sky. Once a
+second the policy says how fast to pitch and yaw; the vehicle's gyros see to it. The reward is the angle from the nose
+to the station, negated; it is told by the state, which a `CnnPolicy` does not see. `--observation state+pixels` shows a
+`MultiInputPolicy` both. Frames are small, so that two cores suffice.
 
 Needs `pip install stable-baselines3`.
 """

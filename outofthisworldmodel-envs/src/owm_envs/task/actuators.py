@@ -1,7 +1,7 @@
 """What the thrusters make of a commanded wrench: late, in pulses, scaled and turned, failing in flight, as configured.
 
 Valves with hysteresis follow a command only where it leaves a band about what they deliver (the play operator:
-Visintin (1994), Differential Models of Hysteresis, sec. III.2).
+Visintin (1994), Differential Models of Hysteresis).
 
 On-off thrusters deliver along each body axis a whole number of quanta, kept for at least the minimum on-time. Each
 axis remembers the impulse it still owes. Whenever its last pulse is over, it chooses the level that would settle the

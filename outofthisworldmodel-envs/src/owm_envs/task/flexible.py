@@ -2,7 +2,7 @@
 
 Fuel is a mass on three springs at the centre of mass, arrays are an inertia on a spring about each body axis. Each of
 the six is a damped oscillator that the chaser drags along, the linear model of slosh and of a first bending mode
-(Sidi (1997), Spacecraft Dynamics and Control, sec. 10.2 and 10.4). Momentum is exchanged, never made.
+(Sidi (1997), Spacecraft Dynamics and Control, ch. 10). Momentum is exchanged, never made.
 
 Not modelled: tanks beside the centre of mass, modes above the first, forces other than the thrusters' as a drive, the
 springs' turning with the body.
