@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from owm.baselines.guarded import GuardedPolicy
+from owm.planning.health import Health
 from owm_envs.config import load_config
 from owm_envs.config.parts import NOISE_PRESETS
 from owm_envs.env import DockingEnv
@@ -20,7 +21,7 @@ class Counts(SlotPolicy):
 
     def __init__(self, layout, sign):
         super().__init__(f"counts {sign}", layout, 2)
-        self.sign = sign
+        self.sign, self.alarms = sign, (np.inf,) * 6
 
     def begin(self, count):
         return np.zeros(count)
@@ -30,7 +31,9 @@ class Counts(SlotPolicy):
         return np.repeat(self.sign * state[:, None], 6, axis=1), state
 
     def health_of(self, state):
-        return None
+        """Alarms in slot 0, of each axis after so many decisions."""
+        alarms = (state[:, None] > np.asarray(self.alarms)) * np.array([[1], [0]])
+        return Health(np.ones((2, 6, 2)), np.zeros((2, 6)), np.zeros((2, 6)), alarms)
 
     def verdict_of(self, state):
         return ["docks"] * len(state)
@@ -40,9 +43,10 @@ class Counts(SlotPolicy):
 def fly():
     """Commands (T, 2) under measured velocities (T, 2, 3), and the policy that gave them."""
     layout = DockingEnv(load_config(fidelity="iss-hcw")).layout
-    policy = GuardedPolicy(Counts(layout, 1), Counts(layout, -1))
+    policy = GuardedPolicy(Counts(layout, 1), Counts(layout, -1), Counts(layout, -2))
 
-    def flown(velocity, measured=None, starts=()):
+    def flown(velocity, measured=None, starts=(), alarms=(np.inf,) * 6):
+        policy.planner.alarms = alarms
         policy.restart()
         policy.reset(ports=[0, 0])
         actions = []
@@ -99,4 +103,27 @@ def test_what_was_not_measured_is_no_jump(fly):
     velocity = np.where((np.arange(200) < 150)[:, None, None], 0.0, 3.0) + noise(QUIET, 200)
     measured = np.repeat(((np.arange(200) < 30) | (np.arange(200) >= 150))[:, None], 2, axis=1)
     actions, _ = fly(velocity, measured)
+    assert (actions > 0).all()
+
+
+NEVER = np.inf
+
+
+@pytest.mark.parametrize("alarms", [(NEVER,) * 3 + (10, 30, 20), (30, 5, 8, 50, NEVER, NEVER)])
+def test_alarms_along_all_three_axes_of_a_kind_hand_over(fly, alarms):
+    actions, policy = fly(noise(QUIET), alarms=alarms)
+    np.testing.assert_array_equal(actions[:31, 0], np.arange(1, 32))
+    np.testing.assert_array_equal(actions[31:, 0], -2 * np.arange(1, 30))
+    np.testing.assert_array_equal(actions[:, 1], np.arange(1, 61))
+    assert policy.verdict == ["counts -2", "docks"]
+
+
+def test_alarms_of_some_axes_leave_the_planner_flying(fly):
+    actions, _ = fly(noise(QUIET), alarms=(5, 5, NEVER, NEVER, 5, 5))
+    assert (actions > 0).all()
+
+
+def test_who_leaves_is_not_handed_over(fly, monkeypatch):
+    monkeypatch.setattr(Counts, "verdict_of", lambda self, state: ["leaves", "docks"])
+    actions, _ = fly(noise(QUIET), alarms=(5,) * 6)
     assert (actions > 0).all()

@@ -1,9 +1,9 @@
-"""A planner that hands over to the classical stack where measurements are worse than any that it was tried with."""
+"""A planner that hands over to a classical policy where its sensors or its vehicle are beyond what it can fit."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from owm.planning.health import Health
 from owm.planning.policy import PlannerPolicy
@@ -22,34 +22,37 @@ class GuardedState(NamedTuple):
     """What every slot carries."""
 
     planner: Any
-    fallback: Any
+    fallbacks: tuple[Any, Any]
     velocity: Float[np.ndarray, "B 3"]
     """m/s, station frame, as seen last."""
     measured: Bool[np.ndarray, "B"]
     """Whether that was a measurement, and not an old one."""
     square: Float[np.ndarray, "B 3"]
     """Mean square of its changes."""
-    handed: Bool[np.ndarray, "B"]
-    """Whether the fallback flies this episode."""
+    handed: Int[np.ndarray, "B"]
+    """Which fallback flies this episode; -1 for none."""
 
 
 class GuardedPolicy(SlotPolicy):
-    """Fly a planner; where the measured velocity jumps by more than `noisiest`, another policy flies to the end.
+    """Fly a planner; another policy flies an episode to its end where the planner should not.
 
-    That one begins afresh there, since it has commanded nothing so far.
+    Where the measured velocity jumps by more than `noisiest`, that is `noisy`. Where the fit in flight gave an alarm
+    along all three axes of force, or of torque, it is `structured`: one thruster that fails shows along one axis.
+    Either begins afresh, since it has commanded nothing so far.
 
     Args:
         planner: with a learner that has a `health`.
-        fallback: of the same environment.
+        noisy: flies where sensors are too bad; of the same environment.
+        structured: flies where no linear map explains the vehicle; of the same environment.
         noisiest: root mean square of the changes of one axis's measured velocity, m/s.
     """
 
-    def __init__(self, planner: PlannerPolicy, fallback: SlotPolicy, noisiest: float = NOISIEST):
+    def __init__(self, planner: PlannerPolicy, noisy: SlotPolicy, structured: SlotPolicy, noisiest: float = NOISIEST):
         super().__init__(f"{planner.name}, guarded", planner.layout, planner.num_slots)
-        self.planner, self.fallback, self.noisiest = planner, fallback, noisiest
+        self.planner, self.fallbacks, self.noisiest = planner, (noisy, structured), noisiest
 
     def __repr__(self) -> str:
-        return f"GuardedPolicy({self.planner!r}, {self.fallback!r})"
+        return f"GuardedPolicy({self.planner!r}, {', '.join(map(repr, self.fallbacks))})"
 
     @property
     def health(self) -> Health | None:
@@ -60,7 +63,8 @@ class GuardedPolicy(SlotPolicy):
     def verdict(self) -> list[str]:
         """What each slot does: "docks", "leaves", or what it handed over to."""
         told = self.planner.verdict_of(self._state.planner)
-        return [self.fallback.name if handed else word for handed, word in zip(self._state.handed, told, strict=True)]
+        flown = self._state.handed.tolist()
+        return [word if which < 0 else self.fallbacks[which].name for which, word in zip(flown, told, strict=True)]
 
     def check_ports(self, ports: np.ndarray) -> None:
         """As the planner."""
@@ -69,25 +73,39 @@ class GuardedPolicy(SlotPolicy):
     def begin(self, count: int) -> GuardedState:
         """Every slot in the planner's hands."""
         nothing = np.zeros((count, 3))
-        kept = self.planner.begin(count), self.fallback.begin(count)
-        never = np.zeros(count, bool)
-        return GuardedState(*kept, nothing, never, nothing, never)
+        begun = tuple(each.begin(count) for each in self.fallbacks)
+        return GuardedState(
+            self.planner.begin(count), begun, nothing, np.zeros(count, bool), nothing, np.full(count, -1)
+        )
 
     def act(
         self, state: GuardedState, observation: dict[str, np.ndarray], slots: Slots
     ) -> tuple[Float[np.ndarray, "B 6"], GuardedState]:
-        """The planner's action, or the fallback's."""
+        """The planner's action, or a fallback's."""
         velocity = View.of(self.layout.measured_view(observation)).velocity
         square = _KEEP * state.square + (1 - _KEEP) * (velocity - state.velocity) ** 2
         square = np.where((slots.measured & state.measured)[:, None], square, state.square)
         square = np.where(slots.fresh[:, None], 0, square)
-        noisy = slots.active & (square.min(axis=1) > self.noisiest**2)
-        before = state.handed & ~slots.fresh
-        handed = before | noisy
-        action, planner = self.planner.act(state.planner, observation, slots._replace(active=slots.active & ~handed))
-        fallback = state.fallback
-        if handed.any():
-            begun = slots._replace(fresh=slots.fresh | (handed & ~before))
-            other, fallback = self.fallback.act(fallback, observation, begun)
-            action = np.where(handed[:, None], other, action)
-        return action, GuardedState(planner, fallback, velocity, slots.measured, square, handed)
+        before = np.where(slots.fresh, -1, state.handed)
+        noisy = square.min(axis=1) > self.noisiest**2
+        structured = self._structured(state.planner) & ~slots.fresh
+        now = np.select([noisy, structured], [0, 1], -1)
+        handed = np.where((before < 0) & slots.active, now, before)
+
+        action, planner = self.planner.act(
+            state.planner, observation, slots._replace(active=slots.active & (handed < 0))
+        )
+        fallbacks = list(state.fallbacks)
+        for which, policy in enumerate(self.fallbacks):
+            flown = handed == which
+            if flown.any():
+                begun = slots._replace(fresh=slots.fresh | (flown & (before < 0)))
+                other, fallbacks[which] = policy.act(fallbacks[which], observation, begun)
+                action = np.where(flown[:, None], other, action)
+        return action, GuardedState(planner, tuple(fallbacks), velocity, slots.measured, square, handed)
+
+    def _structured(self, planner: Any) -> Bool[np.ndarray, "B"]:
+        """Where the fit gave alarms along all three axes of one kind, and the planner has not turned to leave."""
+        alarms = np.asarray(self.planner.health_of(planner).alarms).reshape(-1, 2, 3)
+        leaves = np.array(self.planner.verdict_of(planner)) == "leaves"
+        return (alarms > 0).all(axis=2).any(axis=1) & ~leaves

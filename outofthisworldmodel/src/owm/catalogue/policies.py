@@ -126,7 +126,7 @@ NAMES = (*SCRIPTED, "ekf-mpc", "ekf-mpc-gated", "oracle-mppi", "constant-velocit
 ONLINE_PREFIX = "online:"
 """Before the folder of a model whose linear part is to be fitted again in flight."""
 GUARDED_PREFIX = "guarded:"
-"""Before that of a world model fitted again in flight, which hands over to `ekf-mpc` where sensors are too bad."""
+"""Before that of a world model fitted again in flight, which hands over to a classical policy where it should."""
 ZEROED_PREFIX = "zeroed:"
 """Before the folder of a world model whose network is to be silenced, to see what it is worth."""
 _ZEROED = {"world model": "world model, network zeroed"}
@@ -266,7 +266,8 @@ def load_policy(
         policy: one of `NAMES`, or the folder of a trained world model or a least-squares fit, for the planner
             to fly; `online:FOLDER` fits the linear part of either again in flight; `zeroed:FOLDER` flies a world model
             whose network says nothing, `online:zeroed:FOLDER` both; `guarded:FOLDER` is `online:FOLDER` that hands over
-            to `ekf-mpc` where measurements are too bad for it; `module:Class` is a class of your own, made with
+            to `ekf-mpc` where measurements are too bad for it, and to `dock-safe` where no linear map explains the
+            vehicle; `module:Class` is a class of your own, made with
             those of `config`, `num_slots` and `seed` that it takes.
         config: the environment to fly.
         num_slots: flights side by side.
@@ -326,7 +327,9 @@ def load_policy(
         from owm.baselines.classical import classical_policy
         from owm.baselines.guarded import GuardedPolicy
 
-        made = GuardedPolicy(made, VectorPolicy(classical_policy(env), seed=seed))
+        safe = make_policy("dock-safe", env, geodesic_field=field)
+        fallbacks = classical_policy(env), reckoning(safe)
+        made = GuardedPolicy(made, *(VectorPolicy(each, seed=seed) for each in fallbacks))
     made.name = name
     return made
 
