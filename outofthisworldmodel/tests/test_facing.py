@@ -7,6 +7,7 @@ import pytest
 
 from astrojax.attitude import quat_conjugate, quat_from_rotation_vector, quat_multiply, quat_rotate
 from owm.planning import facing as facings
+from owm.planning.approach import Approach, led_along
 from owm.planning.effect import Effect, authority, effect_of, wrench_for
 from owm.planning.facing import is_crippled
 from owm.planning.health import Health, may_dock
@@ -92,6 +93,17 @@ def test_who_is_on_course_and_near_turns_to_the_port_for_good():
 
     np.testing.assert_allclose(held(0.075), PORT, atol=1e-6)
     assert abs(np.dot(held(0.01), aside)) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("led", [True, False])
+def test_torques_are_led_along_rates_or_left_to_the_plan(led):
+    """Bound for 0.01 rad/s2 about x and against z, half of what torques do."""
+    effect = effect_with((1.0, 1.0, 1.0), PORT)
+    plan = jnp.full((8, 6), 0.3, jnp.float32)
+    rates = 0.25 * jnp.arange(9.0)[:, None] * jnp.asarray([0.01, 0.0, -0.01])
+    approach = Approach(None, None, jnp.zeros((9, 6)), jnp.ones(6), rates, jnp.asarray(led))
+    actions = np.asarray(jax.jit(led_along, static_argnums=3)(approach, effect, plan, 0.25))
+    np.testing.assert_allclose(actions[:, 3:], [[0.5, 0.0, -0.5] if led else [0.3] * 3] * 8, atol=0.02)
 
 
 def test_attitudes_are_unit_quaternions_whatever_is_known():

@@ -42,14 +42,16 @@ class Approach(NamedTuple):
         tuning: with the rate to turn at.
         path: to track, m and m/s in the station frame, now and every step.
         share: of each axis's noise and warm start.
-        rates: rad/s to turn at, now and every step, beside a target that turns; else None.
+        rates: rad/s to turn at, now and every step.
+        led: whether torques are led along those: beside a target that turns, and while a crippled vehicle turns.
     """
 
     goal: Goal
     tuning: Tuning
     path: Float[Array, "T+1 6"]
     share: Float[Array, "6"]
-    rates: Float[Array, "T+1 3"] | None = None
+    rates: Float[Array, "T+1 3"]
+    led: Bool[Array, ""]
 
 
 def safe_approach(
@@ -67,35 +69,31 @@ def safe_approach(
     path = safe_reference(goal, view, steps, dt, able)[shape.latency :]
     held = facing(missing, view, goal.pose, path)
     held = jnp.where(goal.away, facing_out(missing, attitude, path[-1, 3:] - path[0, 3:]), held)
-    turning = crippled & (jnp.abs(jnp.sum(held * attitude)) < _TURNED) & ~_leads_into_the_hull(goal, view)
+    turning = crippled & (jnp.abs(jnp.sum(held * attitude)) < _TURNED)
+    eases = turning & ~_leads_into_the_hull(goal, view)
     rate = jnp.where(crippled, _TURNING_RATE, tuning.weights.top_rate)
     goal = goal._replace(pose=goal.pose.at[3:].set(held))
     weights = tuning.weights._replace(top_rate=rate)
-    rates = None
-    if goal.turning is not None:
-        rates = turning_reference(weights, goal.pose, view, steps, dt)[shape.latency :]
     return Approach(
         goal=goal,
         tuning=tuning._replace(weights=weights),
         path=path,
-        share=jnp.where(turning & (np.arange(6) < 3), _WHILE_TURNING, 1).astype(view.dtype),
-        rates=rates,
+        share=jnp.where(eases & (np.arange(6) < 3), _WHILE_TURNING, 1).astype(view.dtype),
+        rates=turning_reference(weights, goal.pose, view, steps, dt)[shape.latency :],
+        led=turning if goal.turning is None else jnp.asarray(True),
     )
 
 
 def led_along(approach: Approach, effect: Effect, plan: Float[Array, "T 6"], dt: float) -> Float[Array, "T 6"]:
-    """Return a plan with those forces, and torques where rates are given, that by what actions do lead along a path.
+    """Return a plan with those forces, and torques where they are led, that by what actions do lead along a path.
 
     Averaging candidates alone follows a reference late, or with all their noise.
     """
     change = jnp.diff(approach.path[:, 3:], axis=0) * (effect.elapsed / dt)
-    if approach.rates is None:
-        turning = jnp.broadcast_to(effect.change[3:], change.shape)
-    else:
-        turning = jnp.diff(approach.rates, axis=0) * (effect.elapsed / dt)
+    turning = jnp.diff(approach.rates, axis=0) * (effect.elapsed / dt)
+    turning = jnp.where(approach.led, turning, effect.change[3:])
     led = jnp.clip(wrench_for(effect, jnp.concatenate([change, turning], axis=1)), -1, 1)
-    if approach.rates is None:
-        led = jnp.concatenate([led[:, :3], plan[:, 3:]], axis=1)
+    led = led.at[:, 3:].set(jnp.where(approach.led, led[:, 3:], plan[:, 3:]))
     return jnp.where(jnp.all(jnp.isfinite(led)), led, plan)
 
 
