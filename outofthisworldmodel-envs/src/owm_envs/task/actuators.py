@@ -5,6 +5,7 @@ Visintin (1994), Differential Models of Hysteresis).
 
 The delay may grow with thrust, as valves open later where the feed pressure sags. The sag is a first-order lag of the
 thrust's share: of the limits, summed over the axes, at most 1. Between whole steps of delay commands are interpolated.
+Where the delay grows faster than time goes by, older commands act again.
 
 On-off thrusters deliver along each body axis a whole number of quanta, kept for at least the minimum on-time. Each
 axis remembers the impulse it still owes. Whenever its last pulse is over, it chooses the level that would settle the
