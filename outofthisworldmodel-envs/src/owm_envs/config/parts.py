@@ -429,7 +429,7 @@ class RandomizationConfig(Frozen):
 
     Factors multiply the configured number, the rest is added to it; a degenerate range draws its one value. While
     every range is at its default nothing is drawn. The numbers are traced: other ranges need no new program, as long
-    as the sum of `chaser.actuation_delay` and the longest drawn delay stays the same.
+    as the sum of `chaser.actuation_delay`, `chaser.delay_growth` and the longest drawn delay stays the same.
     """
 
     mass_scale: Factors = (1.0, 1.0)
