@@ -186,6 +186,27 @@ def test_valves_with_hysteresis_follow_a_band_behind():
     np.testing.assert_allclose(delivered, np.array(expected)[:, None] * LIMIT, atol=1e-9)
 
 
+def test_a_delay_grows_to_its_most_under_long_thrust():
+    """Full thrust along y holds the pressure down: what comes on x is late by both delays in the end."""
+    config = load_config(chaser={"actuation_delay": 2, "delay_growth": 3, "sag_time": 0.2})
+    wanted = np.zeros((STEPS, 6))
+    wanted[:, 0] = np.where(np.arange(STEPS) < 60, 0, np.random.default_rng(0).uniform(-1, 1, STEPS)) * LIMIT[0]
+    wanted[:, 1] = LIMIT[1]
+    delivered, state = delivered_by(config, wanted)
+    np.testing.assert_allclose(state.sag[:20], 1 - np.exp(-np.maximum(np.arange(20) - 1, 0) * DT / 0.2), atol=1e-9)
+    np.testing.assert_allclose(delivered[60:], wanted[55:-5], atol=0.01)
+
+
+def test_a_delay_does_not_grow_without_thrust():
+    """With hardly any thrust it is the fixed one; in between it lies between."""
+    wanted = np.random.default_rng(1).uniform(-1, 1, (STEPS, 6)) * LIMIT * 1e-9
+    delays = {"actuation_delay": 2}
+    fixed, _ = delivered_by(load_config(chaser=delays), wanted)
+    growing, state = delivered_by(load_config(chaser=delays | {"delay_growth": 3}), wanted)
+    np.testing.assert_allclose(growing, fixed, atol=1e-7 * LIMIT.max() * 1e-9 * 10)
+    assert (np.diff(state.sag) != 0).any() and state.sag.max() < 1e-8
+
+
 def test_only_who_may_fail_keeps_a_clock():
     for config, faulty in (
         ({}, False),

@@ -33,6 +33,8 @@ ALL = load_config(
     chaser={
         "thrusters": "on_off",
         "actuation_delay": 1,
+        "delay_growth": 1,
+        "plume": {"strength": 0.3},
         "fault": {"leak": (1.0,) * 6},
         "hysteresis": 0.1,
         "flexible": {"slosh_mass": 1.0},

@@ -59,12 +59,16 @@ class Structure(NamedTuple):
     """Whether thrusters are on-off."""
     longest_delay: int
     """Simulation steps of commands to keep."""
+    sagging: bool
+    """Whether thrust makes the delay grow."""
     faulty: bool
     """Whether thrusters may fail in flight."""
     sticky: bool
     """Whether valves have hysteresis."""
     flexible: bool
     """Whether something swings in or on the chaser."""
+    plume: bool
+    """Whether plumes push back from the hull."""
     turning: bool
     """Whether the target turns in the frame of the orbit."""
     randomized: bool
@@ -232,10 +236,12 @@ class DockingConfig(Frozen):
             steps_per_action=self.steps_per_action,
             collision_terminates=self.collision_terminates,
             on_off=chaser.thrusters == "on_off",
-            longest_delay=chaser.actuation_delay + ranges.actuation_delay[1],
+            longest_delay=chaser.actuation_delay + ranges.actuation_delay[1] + chaser.delay_growth,
+            sagging=chaser.delay_growth > 0,
             faulty=chaser.fault.active or ranges.faulty,
             sticky=chaser.hysteresis > 0,
             flexible=chaser.flexible.active,
+            plume=chaser.plume.strength > 0,
             turning=self.target.turns or ranges.turning,
             randomized=ranges.active,
             biased=any((bias.position, bias.velocity, bias.attitude, bias.rate)),

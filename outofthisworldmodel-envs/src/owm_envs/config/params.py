@@ -43,6 +43,13 @@ class FlexibleParams(NamedTuple):
     damping: Float[Array, "6"]
 
 
+class PlumeParams(NamedTuple):
+    """How plumes push back from the hull: -, m; as in `PlumeConfig`."""
+
+    strength: Float[Array, ""]
+    reach: Float[Array, ""]
+
+
 class ChaserParams(NamedTuple):
     """The chaser: kg, kg m2 about body axes, m2, m, N and N m, s, simulation steps; as in `ChaserConfig`."""
 
@@ -56,11 +63,15 @@ class ChaserParams(NamedTuple):
     misalignment: Float[Array, "3"]
     actuation_delay: Int[Array, ""]
     """At most `Structure.longest_delay`."""
+    delay_growth: Float[Array, ""]
+    sag_time: Float[Array, ""]
     thruster_quantum: Float[Array, "6"]
     minimum_on_time: Float[Array, ""]
     hysteresis: Float[Array, ""]
     flexible: FlexibleParams
     """Unused unless `Structure.flexible`."""
+    plume: PlumeParams
+    """Unused unless `Structure.plume`."""
     fault: FaultParams | None
     """None unless `Structure.faulty`."""
 
@@ -227,6 +238,8 @@ def params_from_config(config: DockingConfig) -> Params:
             thrust_scale=real(chaser.thrust_scale),
             misalignment=real(chaser.misalignment),
             actuation_delay=jnp.asarray(chaser.actuation_delay, jnp.int32),
+            delay_growth=real(chaser.delay_growth),
+            sag_time=real(chaser.sag_time),
             thruster_quantum=real([chaser.thruster_force] * 3 + [chaser.thruster_torque] * 3),
             minimum_on_time=real(chaser.minimum_on_time),
             hysteresis=real(chaser.hysteresis),
@@ -235,6 +248,7 @@ def params_from_config(config: DockingConfig) -> Params:
                 frequency=real(2 * np.pi * np.repeat([flexible.slosh_frequency, flexible.array_frequency], 3)),
                 damping=real([flexible.slosh_damping] * 3 + [flexible.array_damping] * 3),
             ),
+            plume=PlumeParams(strength=real(chaser.plume.strength), reach=real(chaser.plume.reach)),
             fault=None
             if not config.structure.faulty
             else FaultParams(

@@ -331,6 +331,15 @@ class FlexibleConfig(Frozen):
         return self.slosh_mass > 0 or self.array_inertia > 0
 
 
+class PlumeConfig(Frozen):
+    """What jets near the hull push the chaser back with (`task.plume`); by default nothing."""
+
+    strength: Annotated[float, within(0, 10), unit("1")] = 0.0
+    """Push over thrust of a jet straight at the hull, at contact; 0 for none."""
+    reach: Length = 5.0
+    """Clearance at which the push has fallen to a quarter."""
+
+
 class ChaserConfig(Frozen):
     """The Dragon-class chaser and its thrusters."""
 
@@ -351,6 +360,10 @@ class ChaserConfig(Frozen):
     """Rotation vector from the commanded to the delivered wrench's axes."""
     actuation_delay: Annotated[Delay, unit("steps")] = 0
     """Simulation steps between command and delivery."""
+    delay_growth: Annotated[Delay, unit("steps")] = 0
+    """Added to the delay as the feed pressure sags, all of it after long thrust (`task.actuators`); 0 for none."""
+    sag_time: Annotated[float, within(1e-2, 1e4), unit("s")] = 5.0
+    """In which the pressure follows the thrust, by 1 - 1/e."""
     thrusters: Literal["proportional", "on_off"] = "proportional"
     """Whether a wrench is delivered as commanded, or as pulses of whole quanta (`task.actuators`)."""
     thruster_force: Force = 400.0
@@ -362,6 +375,7 @@ class ChaserConfig(Frozen):
     hysteresis: Annotated[float, within(0, 1), unit("1")] = 0.0
     """Of the valves: share of the limits by which a command must leave what they deliver before they follow."""
     flexible: FlexibleConfig = FlexibleConfig()
+    plume: PlumeConfig = PlumeConfig()
     fault: FaultConfig = FaultConfig()
 
     @model_validator(mode="after")
@@ -415,7 +429,7 @@ class RandomizationConfig(Frozen):
 
     Factors multiply the configured number, the rest is added to it; a degenerate range draws its one value. While
     every range is at its default nothing is drawn. The numbers are traced: other ranges need no new program, as long
-    as the sum of `chaser.actuation_delay` and the longest drawn delay stays the same.
+    as the sum of `chaser.actuation_delay`, `chaser.delay_growth` and the longest drawn delay stays the same.
     """
 
     mass_scale: Factors = (1.0, 1.0)

@@ -83,7 +83,8 @@ def _steps(env, params, epoch, truth, action):
 
         def substep(carry, _):
             actuators, physics = carry
-            actuators, delivered = deliver(params.chaser, actuators, wrench, params.dt)
+            near = env.near_hull(params, env.dynamics.relative_state(params, physics))
+            actuators, delivered = deliver(params.chaser, actuators, wrench, params.dt, near)
             return (actuators, env.dynamics.step(params, physics, delivered, params.dt)), None
 
         start = actuators, env.dynamics.init(params, epoch, view)

@@ -20,6 +20,7 @@ from owm_envs.task.collision import Clearance, advance_clearance, clearance_at
 from owm_envs.task.events import Closest, Outcome, error_norms, is_docked, safe_norm
 from owm_envs.task.navigation import RelativeNavigation, TargetRate, advance_bias, goal_error, start_bias
 from owm_envs.task.observation import ObservationLayout
+from owm_envs.task.plume import NearHull, near_hull
 from owm_envs.task.randomization import Drawn, draw, drawn_anew, episode_params, named_draws
 from owm_envs.task.reset import Start, named_key, sample_start
 from owm_envs.task.reward import reward
@@ -378,7 +379,9 @@ class DockingEnv:
     def advance(self, params: Params, state: EnvState, wrench: Float[Array, "6"]) -> tuple[EnvState, Bool[Array, ""]]:
         """One simulation step and its events, whatever the outcome so far; also whether the hull was touched."""
         params = episode_params(params, state.drawn)
-        actuators, delivered = deliver(params.chaser, state.actuators, wrench, params.dt)
+        actuators, delivered = deliver(
+            params.chaser, state.actuators, wrench, params.dt, self.near_hull(params, state.view)
+        )
         physics = self.dynamics.step(params, state.physics, delivered, params.dt)
         view = self.dynamics.relative_state(params, physics)
         # Attitude and its negative are the same; keep the one next to the last.
@@ -412,6 +415,10 @@ class DockingEnv:
             closest=closest,
         )
         return state, touches
+
+    def near_hull(self, params: Params, view: Float[Array, "13"]) -> NearHull | None:
+        """The hull that throws plumes back to a chaser at a true relative view; None where none does."""
+        return near_hull(params.chaser, view, self._boxes(params)) if self.structure.plume else None
 
     def _bias_key(self, noise_key, count):
         return jax.random.fold_in(named_key(noise_key, "bias"), count)

@@ -3,6 +3,10 @@
 Valves with hysteresis follow a command only where it leaves a band about what they deliver (the play operator:
 Visintin (1994), Differential Models of Hysteresis).
 
+The delay may grow with thrust, as valves open later where the feed pressure sags. The sag is a first-order lag of the
+thrust's share: of the limits, summed over the axes, at most 1. Between whole steps of delay commands are interpolated.
+Where the delay grows faster than time goes by, older commands act again.
+
 On-off thrusters deliver along each body axis a whole number of quanta, kept for at least the minimum on-time. Each
 axis remembers the impulse it still owes. Whenever its last pulse is over, it chooses the level that would settle the
 debt if the command stayed as it is for one pulse (first-order error feedback, as in a sigma-delta modulator), never
@@ -24,6 +28,7 @@ from astrojax.attitude import quat_from_rotation_vector, quat_rotate
 from owm_envs.config.docking import Structure
 from owm_envs.config.params import ChaserParams, FaultParams
 from owm_envs.task.flexible import Swing, swing
+from owm_envs.task.plume import NearHull, thrown_back
 
 
 class Pulses(NamedTuple):
@@ -42,6 +47,8 @@ class ActuatorState(NamedTuple):
 
     queue: Float[Array, "D 6"]
     """Commands still on their way, oldest first."""
+    sag: Float[Array, ""] | None
+    """Of the feed pressure, 0 to 1; None where the delay does not grow."""
     pulses: Pulses | None
     """Of on-off thrusters, None without."""
     elapsed: Float[Array, ""] | None
@@ -60,6 +67,7 @@ def actuators_at_rest(structure: Structure, dtype: DTypeLike) -> ActuatorState:
 
     return ActuatorState(
         queue=jnp.zeros((structure.longest_delay, 6), dtype),
+        sag=jnp.zeros((), dtype) if structure.sagging else None,
         pulses=Pulses(none(), none(), jnp.zeros(6, jnp.int32)) if structure.on_off else None,
         elapsed=jnp.zeros((), dtype) if structure.faulty else None,
         valves=none() if structure.sticky else None,
@@ -68,18 +76,31 @@ def actuators_at_rest(structure: Structure, dtype: DTypeLike) -> ActuatorState:
 
 
 def deliver(
-    chaser: ChaserParams, state: ActuatorState, wrench: Float[Array, "6"], dt: Float[Array, ""]
+    chaser: ChaserParams,
+    state: ActuatorState,
+    wrench: Float[Array, "6"],
+    dt: Float[Array, ""],
+    near: NearHull | None = None,
 ) -> tuple[ActuatorState, Float[Array, "6"]]:
     """One simulation step of `dt` seconds: the next state, and the body wrench that acts during it.
 
     Args:
         wrench: command, N and N m, body axes.
+        near: the hull that throws plumes back; None for none.
     """
-    queue = state.queue
+    queue, sag = state.queue, state.sag
     longest = queue.shape[0]
     if longest:
         queue = jnp.concatenate([queue, wrench[None]])
-        wrench = queue[longest - jnp.clip(chaser.actuation_delay, 0, longest)]
+        if sag is None:
+            wrench = queue[longest - jnp.clip(chaser.actuation_delay, 0, longest)]
+        else:
+            delay = jnp.clip(chaser.actuation_delay + chaser.delay_growth * sag, 0, longest)
+            whole = jnp.floor(delay).astype(jnp.int32)
+            newer, older = queue[longest - whole], queue[jnp.maximum(longest - whole - 1, 0)]
+            wrench = newer + (delay - whole) * (older - newer)
+            flow = jnp.minimum(jnp.sum(jnp.abs(wrench) / chaser.wrench_limit), 1)
+            sag = flow + (sag - flow) * jnp.exp(-dt / chaser.sag_time)
         queue = queue[1:]
     valves = state.valves
     if valves is not None:
@@ -95,10 +116,12 @@ def deliver(
         delivered = jnp.where(elapsed >= chaser.fault.time, _failed(chaser.fault, delivered), delivered)
         elapsed = elapsed + dt
     delivered, swinging = _turned(delivered, chaser.misalignment), state.swing
+    if near is not None:
+        delivered = delivered + thrown_back(near, delivered)
     if swinging is not None:
         swinging, pull = swing(chaser, swinging, delivered, dt)
         delivered = delivered + pull
-    return ActuatorState(queue, pulses, elapsed, valves, swinging), delivered
+    return ActuatorState(queue, sag, pulses, elapsed, valves, swinging), delivered
 
 
 def _turned(wrench: Float[Array, "6"], by: Float[Array, "3"]) -> Float[Array, "6"]:

@@ -109,6 +109,12 @@ def swept_clearance(
     return jnp.where(nearest < radius, best, nearest) - radius
 
 
+def nearest_point(point: Float[Array, "3"], boxes: Float[Array, "N 2 3"]) -> Float[Array, "3"]:
+    """The point of the nearest box that is nearest to a point; m. Itself where it is inside."""
+    low, high = boxes[jnp.argmin(_squared_distances(point, boxes))]
+    return jnp.clip(point, low, high)
+
+
 def _squared_distances(point: Float[Array, "3"], boxes: Float[Array, "N 2 3"]) -> Float[Array, "N"]:
     squared = 0
     for axis in range(3):

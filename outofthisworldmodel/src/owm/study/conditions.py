@@ -194,6 +194,13 @@ CONDITIONS: dict[str, Condition] = {
         "arrays of 20,000 kg m2 that bend at 0.1 Hz", array_inertia=20_000.0, array_frequency=0.1, array_damping=0.005
     ),
     "valves stick": _chaser("valves with a hysteresis of 10 % of the limits", hysteresis=0.1),
+    "plume on the hull": _chaser(
+        "plumes push back from the hull with 30 % of the thrust at contact, a quarter of it 5 m off",
+        plume={"strength": 0.3, "reach": 5.0},
+    ),
+    "delay grows with thrust": _chaser(
+        "a delay of up to 0.5 s as thrust of the last 5 s makes the feed pressure sag", delay_growth=10
+    ),
     "map without array": Condition("the planner's hull lacks the port side's upper solar wings", map=without_array),
 }
 CONDITIONS |= {
