@@ -97,7 +97,7 @@ def test_who_is_on_course_and_near_turns_to_the_port_for_good():
 
 @pytest.mark.parametrize("led", [True, False])
 def test_torques_are_led_along_rates_or_left_to_the_plan(led):
-    """Bound for 0.01 rad/s2 about x and against z, half of what torques do."""
+    """Rates grow by 0.01 rad/s2 about x and against z: by half of what the torques can do."""
     effect = effect_with((1.0, 1.0, 1.0), PORT)
     plan = jnp.full((8, 6), 0.3, jnp.float32)
     rates = 0.25 * jnp.arange(9.0)[:, None] * jnp.asarray([0.01, 0.0, -0.01])

@@ -107,5 +107,7 @@ class GuardedPolicy(SlotPolicy):
     def _structured(self, planner: Any) -> Bool[np.ndarray, "B"]:
         """Where the fit gave alarms along all three axes of one kind, and the planner has not turned to leave."""
         alarms = np.asarray(self.planner.health_of(planner).alarms).reshape(-1, 2, 3)
-        leaves = np.array(self.planner.verdict_of(planner)) == "leaves"
-        return (alarms > 0).all(axis=2).any(axis=1) & ~leaves
+        structured = (alarms > 0).all(axis=2).any(axis=1)
+        if structured.any():
+            structured &= np.array(self.planner.verdict_of(planner)) != "leaves"
+        return structured

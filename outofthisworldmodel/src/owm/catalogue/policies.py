@@ -324,12 +324,10 @@ def load_policy(
             learner = OnlineBase(learner)
     made = PlannerPolicy(model, field, env, planner, num_slots, seed, learner)
     if kind in _GUARDED.values():
-        from owm.baselines.classical import classical_policy
         from owm.baselines.guarded import GuardedPolicy
 
-        safe = make_policy("dock-safe", env, geodesic_field=field)
-        fallbacks = classical_policy(env), reckoning(safe)
-        made = GuardedPolicy(made, *(VectorPolicy(each, seed=seed) for each in fallbacks))
+        fallbacks = (load_policy(each, config, num_slots, seed, field=field) for each in ("ekf-mpc", "dock-safe"))
+        made = GuardedPolicy(made, *fallbacks)
     made.name = name
     return made
 
